@@ -1,0 +1,1 @@
+"""The `uncle` command line."""

@@ -1,0 +1,68 @@
+"""The `uncle` group: version, verbosity, lazily imported commands, and the one place where errors become messages."""
+
+from __future__ import annotations
+
+import importlib
+import logging
+from importlib.metadata import version
+from typing import Any
+
+import click
+
+# command -> (module, one-line help). The module is imported only when the command runs or shows its own help.
+COMMANDS: dict[str, str] = {
+    "demo": "Make a small room, reconstruct it with two sensors and write a report.",
+    "synth": "Make a multi-sensor data set from a furnished room or from a mesh.",
+    "preprocess": "Read and check a recording and convert it into a run directory.",
+    "map": "Reconstruct the scene and learn how far each sensor can be trusted.",
+    "mesh": "Extract the surface of a finished map.",
+    "eval": "Score a mesh against a ground truth, or a whole run.",
+    "snapshot": "Draw pictures of a mesh or of a run.",
+    "report": "Write one HTML page about a run.",
+}
+
+
+class LazyGroup(click.Group):
+    """A group that knows its commands' names and one-line helps without importing them."""
+
+    def list_commands(self, ctx: click.Context) -> list[str]:
+        return list(COMMANDS)
+
+    def get_command(self, ctx: click.Context, name: str) -> click.Command | None:
+        if name not in COMMANDS:
+            return None
+        return importlib.import_module(f".{name}", __package__).command
+
+    def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        with formatter.section("Commands"):
+            formatter.write_dl(list(COMMANDS.items()))
+
+    def invoke(self, ctx: click.Context) -> Any:
+        """Run a command; errors meant for people become one line and exit code 1."""
+        from ..recon.errors import UncleError
+
+        try:
+            return super().invoke(ctx)
+        except UncleError as error:
+            raise click.ClickException(str(error)) from error
+        except KeyboardInterrupt as interrupt:
+            click.echo("Stopped. What was finished is kept; run the same command again to go on.", err=True)
+            raise SystemExit(130) from interrupt
+
+
+@click.group(cls=LazyGroup, context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 110})
+@click.version_option(version("uncle"), prog_name="uncle")
+@click.option("-v", "--verbose", is_flag=True, help="Say more on stderr.")
+@click.option("-q", "--quiet", is_flag=True, help="Say only errors.")
+@click.pass_context
+def main(ctx: click.Context, verbose: bool, quiet: bool) -> None:
+    """Turn recorded RGB-D sequences of one or several depth sensors into a mesh and a statement of trust.
+
+    \b
+    uncle preprocess DATASET
+    uncle map --sensors sl psmnet
+    uncle mesh
+    uncle eval
+    """
+    ctx.obj = {"quiet": quiet}
+    logging.basicConfig(level=logging.DEBUG if verbose else logging.ERROR if quiet else logging.WARNING)

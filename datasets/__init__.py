@@ -1,0 +1,1 @@
+"""Readers of recorded sequences: each turns files on disk into `Frame` values."""

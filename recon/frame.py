@@ -1,0 +1,48 @@
+"""A frame of a recording, and what every recording must offer."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Protocol
+
+import numpy as np
+from torch import Tensor
+
+from .camera import Camera
+
+
+@dataclass(frozen=True)
+class Frame:
+    """One instant of a recording. All sensors share the camera of the recording.
+
+    color            (H, W, 3) uint8 RGB
+    depths           sensor name -> (H, W) float32 z-depth in metres, 0 where there is no reading
+    T_world_camera   (4, 4) float64, OpenCV camera axes, metres; None where the recording has no (finite) pose
+    timestamp        seconds, or the frame index where the recording has no clock
+    """
+
+    index: int
+    timestamp: float
+    color: Tensor
+    depths: dict[str, Tensor]
+    T_world_camera: np.ndarray | None
+
+
+class Recording(Protocol):
+    """A sequence of frames with the facts that hold for all of them.
+
+    `recording[i]` raises `FrameError` if that one frame cannot be read; the recording stays usable.
+    """
+
+    name: str
+    camera: Camera
+    sensors: tuple[str, ...]
+    has_poses: bool
+    has_timestamps: bool
+    reference_mesh: Path | None  # ground-truth surface in the recording's world frame
+    notes: tuple[str, ...]  # facts a user should hear once: a default intrinsic, dropped frames
+
+    def __len__(self) -> int: ...
+
+    def __getitem__(self, index: int) -> Frame: ...

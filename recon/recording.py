@@ -1,0 +1,115 @@
+"""Reading the preprocessed frames of a run."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+import torch
+from torch import Tensor
+
+from .camera import Camera
+from .errors import RunError
+from .frame import Frame
+from .run import FrameRecord, RunDirectory
+from .storage import BETA_UNITS_PER_M, DEPTH_UNITS_PER_M, read_image
+
+
+@dataclass(frozen=True)
+class SensorImage:
+    """What a sensor delivers in one frame, after preprocessing.
+
+    depth    (H, W) float32 metres, 0 = no reading
+    normals  (H, W, 3) float32 unit vectors in camera axes that point towards the camera, 0 where unknown
+    """
+
+    depth: Tensor
+    normals: Tensor
+
+
+class RunFrames:
+    """The frames of a run, in order; index = position. `sensors` limits what is read."""
+
+    def __init__(self, run: RunDirectory, sensors: Sequence[str] | None = None) -> None:
+        manifest = run.manifest
+        run.require_stage("preprocess")
+        self.run = run
+        self.camera: Camera = run.camera
+        self.sensors: tuple[str, ...] = tuple(sensors) if sensors is not None else manifest.sensors
+        try:
+            self.records = [FrameRecord.model_validate(row) for row in json.loads(run.frames_path.read_text())]
+        except (OSError, ValueError) as error:
+            raise RunError(
+                f"cannot read {run.frames_path}: {error}; redo it with `uncle preprocess --overwrite`"
+            ) from error
+
+    def __len__(self) -> int:
+        return len(self.records)
+
+    @property
+    def has_poses(self) -> bool:
+        return all(record.T_world_camera is not None for record in self.records)
+
+    def pose(self, index: int) -> np.ndarray | None:
+        """(4, 4) T_world_camera or None."""
+        matrix = self.records[index].T_world_camera
+        return None if matrix is None else np.array(matrix)
+
+    def color(self, index: int) -> Tensor:
+        """(H, W, 3) uint8 RGB. Raises DataError."""
+        image = read_image(self.run.color_path(self.records[index].color), cv2.IMREAD_COLOR)
+        return torch.from_numpy(image)
+
+    def depth(self, index: int, sensor: str) -> Tensor:
+        """(H, W) float32 metres, 0 = no reading; all zero if the sensor has no image in this frame. Raises DataError."""
+        if sensor not in self.records[index].sensors:
+            return torch.zeros(self.camera.height, self.camera.width)
+        image = read_image(self.run.depth_path(sensor, index), cv2.IMREAD_UNCHANGED)
+        return torch.from_numpy(image.astype(np.float32) / DEPTH_UNITS_PER_M)
+
+    def normals(self, index: int, sensor: str) -> Tensor:
+        """(H, W, 3) float32 unit normals in camera axes, towards the camera; 0 where unknown. Raises DataError."""
+        if sensor not in self.records[index].sensors:
+            return torch.zeros(self.camera.height, self.camera.width, 3)
+        return decode_normals(read_image(self.run.normal_path(sensor, index), cv2.IMREAD_COLOR))
+
+    def beta(self, index: int, sensor: str) -> Tensor:
+        """(H, W) float32 Laplace scale in metres, 0 where there is no reading. Raises DataError."""
+        image = read_image(self.run.beta_path(sensor, index), cv2.IMREAD_UNCHANGED)
+        return torch.from_numpy(image.astype(np.float32) / BETA_UNITS_PER_M)
+
+    def __getitem__(self, index: int) -> Frame:
+        record = self.records[index]
+        depths = {sensor: self.depth(index, sensor) for sensor in self.sensors}
+        return Frame(index, record.timestamp, self.color(index), depths, self.pose(index))
+
+    def sensor_image(self, index: int, sensor: str) -> SensorImage:
+        """Depth and normals of one sensor in one frame. Raises DataError."""
+        return SensorImage(self.depth(index, sensor), self.normals(index, sensor))
+
+    def stream(self, indices: Sequence[int], ahead: int = 4) -> Iterator[Frame]:
+        """Yield frames while the next `ahead` are decoded in the background."""
+        with ThreadPoolExecutor(max_workers=1) as pool:
+            pending = [pool.submit(self.__getitem__, index) for index in indices[:ahead]]
+            for position in range(len(indices)):
+                frame = pending.pop(0).result()
+                if position + ahead < len(indices):
+                    pending.append(pool.submit(self.__getitem__, indices[position + ahead]))
+                yield frame
+
+
+def encode_normals(normals: np.ndarray) -> np.ndarray:
+    """(H, W, 3) unit vectors, 0 = unknown -> uint8 picture; unknown stays black."""
+    known = np.any(normals != 0, axis=-1, keepdims=True)
+    return np.where(known, np.clip(normals * 127.0 + 128.5, 1, 255), 0).astype(np.uint8)
+
+
+def decode_normals(image: np.ndarray) -> Tensor:
+    """The inverse of `encode_normals`, renormalised (quantisation costs about 0.5 degrees)."""
+    known = torch.from_numpy(image.any(axis=-1, keepdims=True))
+    vectors = (torch.from_numpy(image).float() - 128.0) * known
+    return torch.nn.functional.normalize(vectors, dim=-1, eps=1e-6)

@@ -1,0 +1,89 @@
+"""Files that are either whole or absent: everything is written beside its place and renamed into it."""
+
+import errno
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from .errors import DataError, RunError
+
+DEPTH_UNITS_PER_M = 1000.0  # depth PNGs hold millimetres
+BETA_UNITS_PER_M = 10000.0  # beta PNGs hold tenths of a millimetre
+
+_ADVICE = {
+    errno.ENOSPC: "the disk is full; free some space and run the same command again (finished work is kept)",
+    errno.EDQUOT: "the disk quota is used up; free some space and run the same command again (finished work is kept)",
+    errno.EROFS: "the file system is read-only; choose another place with --run",
+    errno.EACCES: "no permission to write there; choose another place with --run",
+    errno.ENOTDIR: "a file stands where a folder is needed; choose another place with --run",
+}
+
+
+@contextmanager
+def explain_write_errors(path: Path) -> Iterator[None]:
+    """Turn an `OSError` raised while writing `path` into a `RunError` that says what to do."""
+    try:
+        yield
+    except OSError as error:
+        advice = _ADVICE.get(error.errno or 0, error.strerror or str(error))
+        raise RunError(f"cannot write {path}: {advice}") from error
+
+
+@contextmanager
+def atomic_path(path: Path) -> Iterator[Path]:
+    """Yield a temporary name beside `path`; rename it to `path` on success, remove it on failure.
+
+    The temporary name keeps the suffix, because writers choose the format by it. Raises RunError.
+    """
+    with explain_write_errors(path):
+        path.parent.mkdir(parents=True, exist_ok=True)
+        temporary = path.with_name(f".{path.stem}.{os.getpid()}.part{path.suffix}")
+        try:
+            yield temporary
+            os.replace(temporary, path)
+        finally:
+            if temporary.exists():
+                temporary.unlink()
+
+
+def write_bytes(path: Path, data: bytes) -> None:
+    """Write `data` to `path` in one piece. Raises RunError."""
+    with atomic_path(path) as temporary:
+        temporary.write_bytes(data)
+
+
+def write_text(path: Path, text: str) -> None:
+    """Write `text` to `path` in one piece. Raises RunError."""
+    write_bytes(path, text.encode())
+
+
+def write_image(path: Path, image: np.ndarray, *, png_level: int = 1, jpeg_quality: int = 95) -> None:
+    """Write an (H, W) or (H, W, 3) image; colour is RGB. The format follows the suffix. Raises RunError."""
+    ordered = image[..., ::-1] if image.ndim == 3 else image
+    options = [cv2.IMWRITE_PNG_COMPRESSION, png_level, cv2.IMWRITE_JPEG_QUALITY, jpeg_quality]
+    done, encoded = cv2.imencode(path.suffix, np.ascontiguousarray(ordered), options)
+    if not done:
+        raise RunError(f"cannot encode {path}: unsupported image format {path.suffix!r}")
+    write_bytes(path, encoded.tobytes())
+
+
+def read_image(path: Path, flags: int) -> np.ndarray:
+    """Read an image with OpenCV `flags`; colour comes back RGB. Raises DataError if it is missing or broken."""
+    try:
+        data = np.fromfile(path, dtype=np.uint8)
+    except OSError as error:
+        raise DataError(f"cannot read {path}: {error.strerror}") from error
+    whole = data.size > 0 and not (data[:4].tobytes() == b"\x89PNG" and b"IEND" not in data[-64:].tobytes())
+    image = cv2.imdecode(data, flags) if whole else None  # OpenCV itself returns the readable half of a cut PNG
+    if image is None:
+        raise DataError(f"cannot read {path}: not a whole PNG or JPG image")
+    return np.ascontiguousarray(image[..., ::-1]) if image.ndim == 3 else image
+
+
+def encode_metres(values: np.ndarray, units_per_m: float) -> np.ndarray:
+    """(H, W) metres -> (H, W) uint16, rounded; what does not fit becomes the largest value."""
+    return np.clip(np.nan_to_num(values) * units_per_m + 0.5, 0, 65535).astype(np.uint16)

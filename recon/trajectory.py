@@ -1,0 +1,59 @@
+"""Camera trajectories and the TUM text format (`timestamp tx ty tz qx qy qz qw`, T_world_camera)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from .errors import DataError
+from .storage import write_text
+
+
+@dataclass(frozen=True)
+class Trajectory:
+    """timestamps (N,) seconds, strictly increasing; T_world_camera (N, 4, 4) float64."""
+
+    timestamps: np.ndarray
+    T_world_camera: np.ndarray
+
+    def __len__(self) -> int:
+        return len(self.timestamps)
+
+    def save(self, path: Path) -> None:
+        """Write TUM text that `evo_ape tum` reads. Raises RunError."""
+        quaternions = Rotation.from_matrix(self.T_world_camera[:, :3, :3]).as_quat()
+        rows = np.column_stack([self.T_world_camera[:, :3, 3], quaternions])
+        lines = [f"{t:.6f} " + " ".join(f"{x:.9f}" for x in row) for t, row in zip(self.timestamps, rows, strict=True)]
+        write_text(path, "\n".join(["# timestamp tx ty tz qx qy qz qw", *lines]) + "\n")
+
+    @staticmethod
+    def load(path: Path) -> Trajectory:
+        """Read TUM text. Raises DataError naming the first bad line."""
+        try:
+            text = path.read_text()
+        except (OSError, UnicodeDecodeError) as error:
+            raise DataError(f"cannot read trajectory {path}: {error}") from error
+        rows = []
+        for number, line in enumerate(text.splitlines(), start=1):
+            if not line.strip() or line.lstrip().startswith("#"):
+                continue
+            try:
+                row = [float(word) for word in line.replace(",", " ").split()]
+            except ValueError:
+                row = []
+            if len(row) != 8:
+                raise DataError(f"{path}, line {number}: expected 8 numbers `timestamp tx ty tz qx qy qz qw`")
+            rows.append(row)
+        if not rows:
+            raise DataError(f"{path} holds no poses")
+        table = np.array(rows)
+        poses = np.tile(np.eye(4), (len(rows), 1, 1))
+        norms = np.linalg.norm(table[:, 4:], axis=1)
+        valid = np.isfinite(table).all(axis=1) & (norms > 1e-6)
+        poses[valid, :3, :3] = Rotation.from_quat(table[valid, 4:]).as_matrix()
+        poses[:, :3, 3] = table[:, 1:4]
+        poses[~valid] = np.nan
+        return Trajectory(table[:, 0], poses)
