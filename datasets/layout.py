@@ -1,0 +1,29 @@
+"""Finding a recording inside the folder that a user names."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from pathlib import Path
+
+from ..recon.errors import DataError
+from .images import natural_key
+
+
+def choose_sequence(path: Path, marker: str) -> tuple[Path, tuple[str, ...]]:
+    """`path` itself or its first subfolder that holds something like `marker` (a glob), and a note on the choice.
+
+    Raises DataError if there is none.
+    """
+    if any(path.glob(marker)):
+        return path, ()
+    found = sorted((hit.name for hit in path.iterdir() if hit.is_dir() and any(hit.glob(marker))), key=natural_key)
+    if not found:
+        raise DataError(f"{path} holds no {marker}, and none of its subfolders does")
+    if len(found) == 1:
+        return path / found[0], ()
+    return path / found[0], (f"{path} holds {len(found)} sequences ({', '.join(found)}); {found[0]} was taken",)
+
+
+def first_file(candidates: Iterable[Path]) -> Path | None:
+    """The first of `candidates` that is a file."""
+    return next((path for path in candidates if path.is_file()), None)

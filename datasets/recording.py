@@ -1,0 +1,118 @@
+"""A recording whose frames are image files: what every reader builds."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from ..recon.camera import Camera
+from ..recon.errors import DataError, FrameError
+from ..recon.frame import Frame
+from .calibration import Calibration
+from .images import Undistorter, read_color, read_depth
+from .poses import pose_notes
+
+
+@dataclass(frozen=True)
+class Entry:
+    """The files of one frame. A sensor that is missing from `depths` has no reading in this frame."""
+
+    color: Path
+    depths: dict[str, Path]
+    T_world_camera: np.ndarray | None = None
+    timestamp: float | None = None
+
+
+class FileRecording:
+    """Implements `recon.frame.Recording`. Raises DataError where the entries make no recording."""
+
+    def __init__(
+        self,
+        root: Path,
+        format: str,
+        entries: Sequence[Entry],
+        sensors: Sequence[str],
+        calibration: Calibration,
+        *,
+        notes: Sequence[str] = (),
+        reference_mesh: Path | None = None,
+        resize_color: bool = False,
+    ) -> None:
+        if not entries:
+            raise DataError(f"{root} holds no frames that can be read as `{format}`")
+        if not sensors:
+            raise DataError(f"{root} holds colour but no depth images that can be read as `{format}`")
+        self.root, self.format = root, format
+        self.name = root.resolve().name
+        self.sensors = tuple(sensors)
+        self.reference_mesh = reference_mesh
+        self.has_timestamps = all(entry.timestamp is not None for entry in entries)
+        self.has_poses = any(entry.T_world_camera is not None for entry in entries)
+        self._entries = tuple(entries)
+        self._calibration, self._resize_color = calibration, resize_color
+        self._undistorter = Undistorter(calibration)
+        self._require_increasing_timestamps()
+        self.notes = (*notes, *self._sensor_notes(), *pose_notes([entry.T_world_camera for entry in entries]))
+
+    @property
+    def camera(self) -> Camera:
+        return self._calibration.camera
+
+    def __len__(self) -> int:
+        return len(self._entries)
+
+    def __getitem__(self, index: int) -> Frame:
+        entry = self._entries[index]
+        index %= len(self)
+        depths = {sensor: self.depth(index, sensor) for sensor in self.sensors}
+        return Frame(index, self.timestamp(index), self.color(index), depths, entry.T_world_camera)
+
+    def timestamp(self, index: int) -> float:
+        """Seconds, or the index where the recording has no clock."""
+        stamp = self._entries[index].timestamp
+        return float(index) if stamp is None or not self.has_timestamps else stamp
+
+    def pose(self, index: int) -> np.ndarray | None:
+        """(4, 4) T_world_camera or None."""
+        return self._entries[index].T_world_camera
+
+    def color(self, index: int) -> Tensor:
+        """(H, W, 3) uint8 RGB. Raises FrameError."""
+        try:
+            image = read_color(self._entries[index].color, self.camera, self._resize_color)
+        except DataError as error:
+            raise FrameError(f"frame {index}: {error}") from error
+        return torch.from_numpy(self._undistorter.color(image))
+
+    def depth(self, index: int, sensor: str) -> Tensor:
+        """(H, W) float32 metres, 0 = no reading; all zero where the sensor has no image. Raises FrameError."""
+        path = self._entries[index].depths.get(sensor)
+        if path is None:
+            return torch.zeros(self.camera.height, self.camera.width)
+        try:
+            image = read_depth(path, self.camera, self._calibration.depth_units_per_m)
+        except DataError as error:
+            raise FrameError(f"frame {index}: {error}") from error
+        return torch.from_numpy(self._undistorter.depth(image))
+
+    def _require_increasing_timestamps(self) -> None:
+        stamps = np.array([self.timestamp(index) for index in range(len(self))])
+        steps = np.diff(stamps)
+        if not np.isfinite(stamps).all() or (steps <= 0).any():
+            bad = int(np.argmin(np.isfinite(steps) & (steps > 0))) + 1 if len(steps) else 0
+            raise DataError(
+                f"{self.root}: time stamps must increase, but frame {bad} does not come after the one before"
+            )
+
+    def _sensor_notes(self) -> list[str]:
+        counts = {sensor: sum(sensor in entry.depths for entry in self._entries) for sensor in self.sensors}
+        return [
+            f"sensor {sensor} has no image in {len(self) - count} of {len(self)} frames"
+            for sensor, count in counts.items()
+            if count < len(self)
+        ]

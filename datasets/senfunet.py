@@ -1,0 +1,74 @@
+"""SenFuNet-Replica: rendered rooms with several depth sensors (METHOD, data sets and axis conventions)."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+from ..recon.camera import Camera
+from ..recon.errors import DataError
+from .calibration import Calibration, calibration_or
+from .images import list_files, read_size
+from .layout import choose_sequence, first_file
+from .poses import OPENGL_TO_OPENCV, Z_UP_FROM_Y_UP, checked_pose, read_matrix
+from .recording import Entry, FileRecording
+
+# The sensors of the data set by their folder; any other depth folder becomes a sensor of its own name.
+SENSOR_OF_FOLDER = {
+    "left_depth_gt": "gt",
+    "left_depth_noise_1.0": "sl",
+    "left_depth_noise_5.0": "tof",
+    "left_sgm_depth": "sgm",
+    "left_psmnet_depth": "psmnet",
+}
+
+
+def matches(path: Path) -> bool:
+    return (path / "left_rgb").is_dir() or any(path.glob("*/left_rgb"))
+
+
+def read(path: Path) -> FileRecording:
+    """Open a scene (its first trajectory) or one trajectory of it. Raises DataError."""
+    trajectory, notes = choose_sequence(path, "left_rgb")
+    colors = list_files(trajectory / "left_rgb")
+    if not colors:
+        raise DataError(f"{trajectory / 'left_rgb'} holds no PNG or JPG images")
+    width, height = read_size(next(iter(colors.values())))
+    # The cameras were rendered with a horizontal field of view of 90 degrees.
+    default = Calibration(Camera(width, height, width / 2, width / 2, width / 2, height / 2))
+    calibration, camera_notes = calibration_or(trajectory, default)
+    sensors = {_sensor_name(folder.name): list_files(folder) for folder in _depth_folders(trajectory)}
+    poses = list_files(trajectory / "left_camera_matrix", (".txt",))
+    entries = [
+        Entry(
+            color,
+            {sensor: files[stem] for sensor, files in sensors.items() if stem in files},
+            _pose(poses.get(stem)),
+        )
+        for stem, color in colors.items()
+    ]
+    names = ("mesh_gt.ply", "gt_mesh.ply", "mesh.ply")
+    scene = trajectory.resolve().parent
+    mesh = first_file([folder / name for folder in (trajectory, scene) for name in names])
+    recording = FileRecording(
+        trajectory, "senfunet", entries, tuple(sensors), calibration, notes=notes + camera_notes, reference_mesh=mesh
+    )
+    recording.name = f"{scene.name}-{recording.name}"
+    return recording
+
+
+def _pose(path: Path | None):
+    matrix = checked_pose(read_matrix(path))
+    return None if matrix is None else Z_UP_FROM_Y_UP @ matrix @ OPENGL_TO_OPENCV
+
+
+def _depth_folders(trajectory: Path) -> list[Path]:
+    """Known sensors in the order of the table above, then others by name; folders without images are no sensors."""
+    found = {folder.name: folder for folder in trajectory.iterdir() if folder.is_dir() and _sensor_name(folder.name)}
+    known = [found.pop(name) for name in SENSOR_OF_FOLDER if name in found]
+    return [folder for folder in known + sorted(found.values()) if list_files(folder)]
+
+
+def _sensor_name(folder: str) -> str | None:
+    match = re.fullmatch(r"left_(.+)_depth|left_depth_(.+)", folder)
+    return SENSOR_OF_FOLDER.get(folder) or (match and (match[1] or match[2]))
