@@ -13,9 +13,12 @@ if TYPE_CHECKING:  # the readers import torch; whoever only wants the names of t
 
 # format -> (module, what its folder looks like). The order is the order of recognition.
 _READERS = {
+    "folder": ("folder", "camera.json and color/"),
     "senfunet": ("senfunet", "left_rgb/ or 1/left_rgb/"),
+    "replica": ("replica", "results/frame*.jpg"),
     "7scenes": ("seven_scenes", "frame-*.color.png or seq-*/"),
     "tum": ("tum", "rgb.txt and depth.txt"),
+    "scannet": ("scannet", "frames/color/ and frames/pose/"),
 }
 FORMATS: tuple[str, ...] = tuple(_READERS)
 

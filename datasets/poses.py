@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from ..recon.errors import DataError
 from ..recon.trajectory import Trajectory
 
 MAX_POSE_GAP_S = 0.08  # METHOD: motion capture with a wider gap says too little about the moment in between
@@ -80,6 +81,24 @@ def _pose_at(times: np.ndarray, matrices: np.ndarray, stamp: float, max_gap_s: f
     pose[:3, :3] = (start * Rotation.from_rotvec(weight * turn.as_rotvec())).as_matrix()
     pose[:3, 3] = (1 - weight) * first[:3, 3] + weight * second[:3, 3]
     return pose
+
+
+def poses_at(file: Path, timestamps: np.ndarray, max_gap_s: float = MAX_POSE_GAP_S) -> list[np.ndarray | None]:
+    """Poses of the TUM text `file` at `timestamps` (N,). Raises DataError if they have no moment in common."""
+    trajectory = Trajectory.load(file)
+    poses = interpolate_poses(trajectory, timestamps, max_gap_s)
+    if all(pose is None for pose in poses):
+        problem = no_overlap(str(file), trajectory.timestamps, "the images", timestamps)
+        raise DataError(f"{problem}, or remove {file.name} to go on without poses")
+    return poses
+
+
+def no_overlap(first: str, first_times: np.ndarray, second: str, second_times: np.ndarray) -> str:
+    """What to tell a user whose two streams have no time stamps in common."""
+    return (
+        f"{first}: its time stamps ({first_times.min():.3f} to {first_times.max():.3f}) do not meet those of "
+        f"{second} ({second_times.min():.3f} to {second_times.max():.3f}); check that both are of one recording"
+    )
 
 
 def pose_notes(poses: Sequence[np.ndarray | None]) -> tuple[str, ...]:

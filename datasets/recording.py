@@ -29,7 +29,11 @@ class Entry:
 
 
 class FileRecording:
-    """Implements `recon.frame.Recording`. Raises DataError where the entries make no recording."""
+    """Implements `recon.frame.Recording`. Raises DataError where the entries make no recording.
+
+    `resize_color`  colour of another size is resampled to the depth camera's instead of refused
+    `margin`        pixels to cut from every side of every image
+    """
 
     def __init__(
         self,
@@ -39,29 +43,31 @@ class FileRecording:
         sensors: Sequence[str],
         calibration: Calibration,
         *,
+        name: str | None = None,
         notes: Sequence[str] = (),
         reference_mesh: Path | None = None,
         resize_color: bool = False,
+        margin: int = 0,
     ) -> None:
         if not entries:
             raise DataError(f"{root} holds no frames that can be read as `{format}`")
         if not sensors:
             raise DataError(f"{root} holds colour but no depth images that can be read as `{format}`")
         self.root, self.format = root, format
-        self.name = root.resolve().name
+        self.name = name or root.resolve().name
         self.sensors = tuple(sensors)
         self.reference_mesh = reference_mesh
         self.has_timestamps = all(entry.timestamp is not None for entry in entries)
         self.has_poses = any(entry.T_world_camera is not None for entry in entries)
         self._entries = tuple(entries)
-        self._calibration, self._resize_color = calibration, resize_color
+        self._calibration, self._resize_color, self._margin = calibration, resize_color, margin
         self._undistorter = Undistorter(calibration)
         self._require_increasing_timestamps()
         self.notes = (*notes, *self._sensor_notes(), *pose_notes([entry.T_world_camera for entry in entries]))
 
     @property
     def camera(self) -> Camera:
-        return self._calibration.camera
+        return self._calibration.camera.cropped(self._margin)
 
     def __len__(self) -> int:
         return len(self._entries)
@@ -84,10 +90,10 @@ class FileRecording:
     def color(self, index: int) -> Tensor:
         """(H, W, 3) uint8 RGB. Raises FrameError."""
         try:
-            image = read_color(self._entries[index].color, self.camera, self._resize_color)
+            image = read_color(self._entries[index].color, self._calibration.camera, self._resize_color)
         except DataError as error:
             raise FrameError(f"frame {index}: {error}") from error
-        return torch.from_numpy(self._undistorter.color(image))
+        return self._cropped(self._undistorter.color(image))
 
     def depth(self, index: int, sensor: str) -> Tensor:
         """(H, W) float32 metres, 0 = no reading; all zero where the sensor has no image. Raises FrameError."""
@@ -95,10 +101,15 @@ class FileRecording:
         if path is None:
             return torch.zeros(self.camera.height, self.camera.width)
         try:
-            image = read_depth(path, self.camera, self._calibration.depth_units_per_m)
+            image = read_depth(path, self._calibration.camera, self._calibration.depth_units_per_m)
         except DataError as error:
             raise FrameError(f"frame {index}: {error}") from error
-        return torch.from_numpy(self._undistorter.depth(image))
+        return self._cropped(self._undistorter.depth(image))
+
+    def _cropped(self, image: np.ndarray) -> Tensor:
+        height, width = image.shape[:2]
+        inner = image[self._margin : height - self._margin, self._margin : width - self._margin]
+        return torch.from_numpy(np.ascontiguousarray(inner))
 
     def _require_increasing_timestamps(self) -> None:
         stamps = np.array([self.timestamp(index) for index in range(len(self))])

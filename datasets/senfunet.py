@@ -5,6 +5,8 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
+import numpy as np
+
 from ..recon.camera import Camera
 from ..recon.errors import DataError
 from .calibration import Calibration, calibration_or
@@ -50,14 +52,19 @@ def read(path: Path) -> FileRecording:
     names = ("mesh_gt.ply", "gt_mesh.ply", "mesh.ply")
     scene = trajectory.resolve().parent
     mesh = first_file([folder / name for folder in (trajectory, scene) for name in names])
-    recording = FileRecording(
-        trajectory, "senfunet", entries, tuple(sensors), calibration, notes=notes + camera_notes, reference_mesh=mesh
+    return FileRecording(
+        trajectory,
+        "senfunet",
+        entries,
+        tuple(sensors),
+        calibration,
+        name=f"{scene.name}-{trajectory.resolve().name}",
+        notes=notes + camera_notes,
+        reference_mesh=mesh,
     )
-    recording.name = f"{scene.name}-{recording.name}"
-    return recording
 
 
-def _pose(path: Path | None):
+def _pose(path: Path | None) -> np.ndarray | None:
     matrix = checked_pose(read_matrix(path))
     return None if matrix is None else Z_UP_FROM_Y_UP @ matrix @ OPENGL_TO_OPENCV
 

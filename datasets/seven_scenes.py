@@ -34,12 +34,7 @@ def read(path: Path) -> FileRecording:
         for frame in frames
     ]
     assumed = ("colour and depth come from two cameras a few centimetres apart and are taken as registered",)
-    recording = FileRecording(
-        sequence, "7scenes", entries, _sensors(entries), calibration, notes=notes + camera_notes + assumed
-    )
-    recording.name = f"{sequence.resolve().parent.name}-{recording.name}"
-    return recording
-
-
-def _sensors(entries: list[Entry]) -> tuple[str, ...]:
-    return ("depth",) if any(entry.depths for entry in entries) else ()
+    sensors = ("depth",) if any(entry.depths for entry in entries) else ()
+    name = f"{sequence.resolve().parent.name}-{sequence.resolve().name}"
+    notes += camera_notes + assumed
+    return FileRecording(sequence, "7scenes", entries, sensors, calibration, name=name, notes=notes)

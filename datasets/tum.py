@@ -9,10 +9,9 @@ import numpy as np
 
 from ..recon.camera import Camera
 from ..recon.errors import DataError
-from ..recon.trajectory import Trajectory
 from .calibration import CAMERA_FILE, Calibration, calibration_or
 from .layout import first_file
-from .poses import interpolate_poses
+from .poses import no_overlap, poses_at
 from .recording import Entry, FileRecording
 
 MAX_DEPTH_GAP_S = 0.04  # a little over one frame: a wider gap pairs a colour image with another view
@@ -41,7 +40,7 @@ def read(path: Path) -> FileRecording:
     depth_times, depth_names = read_list(path / "depth.txt")
     pairs = associate(color_times, depth_times, MAX_DEPTH_GAP_S)
     if not pairs:
-        raise DataError(_no_overlap(path, "rgb.txt", color_times, "depth.txt", depth_times))
+        raise DataError(no_overlap(str(path / "rgb.txt"), color_times, "depth.txt", depth_times))
     stamps = color_times[[color for color, _ in pairs]]
     entries = [
         Entry(path / color_names[color], {"depth": path / depth_names[depth]}, pose, float(color_times[color]))
@@ -93,21 +92,7 @@ def associate(first: np.ndarray, second: np.ndarray, max_gap_s: float) -> list[t
 
 def _poses(path: Path, stamps: np.ndarray) -> list[np.ndarray | None]:
     file = first_file([path / "groundtruth.txt", path / "pose.txt"])
-    if file is None:
-        return [None] * len(stamps)
-    trajectory = Trajectory.load(file)
-    poses = interpolate_poses(trajectory, stamps)
-    if all(pose is None for pose in poses):
-        problem = _no_overlap(path, "rgb.txt", stamps, file.name, trajectory.timestamps)
-        raise DataError(f"{problem}, or remove {file.name} to go on without poses")
-    return poses
-
-
-def _no_overlap(path: Path, first: str, first_times: np.ndarray, second: str, second_times: np.ndarray) -> str:
-    return (
-        f"{path}: the time stamps of {first} ({first_times.min():.3f} to {first_times.max():.3f} s) and {second} "
-        f"({second_times.min():.3f} to {second_times.max():.3f} s) do not meet; check that they are of one recording"
-    )
+    return [None] * len(stamps) if file is None else poses_at(file, stamps)
 
 
 def _camera(path: Path) -> tuple[Calibration, tuple[str, ...]]:

@@ -81,7 +81,7 @@ def read_image(path: Path, flags: int) -> np.ndarray:
     image = cv2.imdecode(data, flags) if whole else None  # OpenCV itself returns the readable half of a cut PNG
     if image is None:
         raise DataError(f"cannot read {path}: not a whole PNG or JPG image")
-    return np.ascontiguousarray(image[..., ::-1]) if image.ndim == 3 else image
+    return cv2.cvtColor(image, cv2.COLOR_BGR2RGB) if image.ndim == 3 else image
 
 
 def encode_metres(values: np.ndarray, units_per_m: float) -> np.ndarray:
