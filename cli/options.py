@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -28,30 +29,66 @@ device_option = click.option(
 )
 
 
+KNOWN_SENSORS = frozenset({"depth", "gt", "sl", "tof", "sgm", "psmnet"})
+
+
 class SensorsCommand(click.Command):
     """A command whose `--sensors` takes several values after one flag: `--sensors sl psmnet`.
 
     Click options cannot take a variable number of values, so `--sensors a b` is rewritten into
-    `--sensors a --sensors b` before parsing. The values end at the next token that starts with a dash.
+    `--sensors a --sensors b` before parsing.
     """
 
     def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
-        return super().parse_args(ctx, expand_sensors(args))
+        has_positionals = any(isinstance(parameter, click.Argument) for parameter in self.params)
+        return super().parse_args(ctx, expand_sensors(args, spare_paths=has_positionals))
 
 
-def expand_sensors(args: list[str]) -> list[str]:
-    """Repeat `--sensors` before each of its values; everything else passes through."""
+def expand_sensors(args: list[str], spare_paths: bool = False) -> list[str]:
+    """Repeat `--sensors` before each of its values; everything else passes through.
+
+    The values end at the next token that starts with a dash. With `spare_paths`, they end at a path too, so that
+    `--sensors sl psmnet DATASET` works: a token with a path separator, or of an existing file or folder unless it is
+    the usual name of a sensor. Raises UsageError if there is no value.
+    """
     expanded: list[str] = []
     taking = False
-    for token in args:
+    for position, token in enumerate(args):
+        if taking and spare_paths and _is_path(token) and args[position - 1] != "--sensors":
+            taking = False
         if token == "--sensors":
+            if position + 1 == len(args) or args[position + 1].startswith("-"):
+                raise click.UsageError("--sensors needs the name of at least one sensor")
             taking = True
         elif token.startswith("-"):
             taking = False
             expanded.append(token)
+            if token == "--":
+                return expanded + args[position + 1 :]
         else:
             expanded += ["--sensors", token] if taking else [token]
     return expanded
+
+
+def _is_path(token: str) -> bool:
+    return "/" in token or os.sep in token or (token not in KNOWN_SENSORS and os.path.exists(token))
+
+
+class FrameRange(click.ParamType):
+    """`start:stop:step` as in a Python slice, with a positive step; a slice."""
+
+    name = "range"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> slice:
+        if isinstance(value, slice):
+            return value
+        try:
+            parts = [int(part) if part else None for part in value.split(":")]
+        except ValueError:
+            parts = []
+        if not 2 <= len(parts) <= 3 or (len(parts) == 3 and parts[2] is not None and parts[2] < 1):
+            self.fail(f"{value!r} is not start:stop:step with whole numbers, such as 0:300 or ::10", param, ctx)
+        return slice(*parts)
 
 
 def sensors_option(help: str) -> Callable[[Any], Any]:

@@ -32,7 +32,8 @@ class Frame:
 class Recording(Protocol):
     """A sequence of frames with the facts that hold for all of them.
 
-    `recording[i]` raises `FrameError` if that one frame cannot be read; the recording stays usable.
+    `recording[i]` raises `FrameError` if that one frame cannot be read; the recording stays usable. The parts of a
+    frame can be had one by one, so that one bad image costs no more than itself; several threads may read at once.
     """
 
     name: str
@@ -46,3 +47,11 @@ class Recording(Protocol):
     def __len__(self) -> int: ...
 
     def __getitem__(self, index: int) -> Frame: ...
+
+    def timestamp(self, index: int) -> float: ...
+
+    def pose(self, index: int) -> np.ndarray | None: ...
+
+    def color(self, index: int) -> Tensor: ...
+
+    def depth(self, index: int, sensor: str) -> Tensor: ...

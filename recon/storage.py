@@ -64,7 +64,8 @@ def write_text(path: Path, text: str) -> None:
 def write_image(path: Path, image: np.ndarray, *, png_level: int = 1, jpeg_quality: int = 95) -> None:
     """Write an (H, W) or (H, W, 3) image; colour is RGB. The format follows the suffix. Raises RunError."""
     ordered = image[..., ::-1] if image.ndim == 3 else image
-    options = [cv2.IMWRITE_PNG_COMPRESSION, png_level, cv2.IMWRITE_JPEG_QUALITY, jpeg_quality]
+    is_png = path.suffix.lower() == ".png"  # OpenCV warns of options that are not the format's own
+    options = [cv2.IMWRITE_PNG_COMPRESSION, png_level] if is_png else [cv2.IMWRITE_JPEG_QUALITY, jpeg_quality]
     done, encoded = cv2.imencode(path.suffix, np.ascontiguousarray(ordered), options)
     if not done:
         raise RunError(f"cannot encode {path}: unsupported image format {path.suffix!r}")

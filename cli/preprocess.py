@@ -1,0 +1,59 @@
+"""`uncle preprocess`: a recording becomes a run directory."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from .console import listener
+from .options import FrameRange, SensorsCommand, overwrite_option, run_option, sensors_option
+
+
+@click.command(cls=SensorsCommand)
+@click.argument("dataset", type=click.Path(path_type=Path))
+@run_option
+@click.option("--format", "format_name", metavar="NAME", help="Layout of the data set; recognised if not given.")
+@click.option("--frames", type=FrameRange(), metavar="START:STOP:STEP", help="Frames to take; all if not given.")
+@sensors_option("Depth sensors to take; all of the data set if not given.")
+@click.option("--lossless", is_flag=True, help="Store colour as PNG: exact, but slower and five times as large as JPG.")
+@overwrite_option
+@click.pass_context
+def command(
+    ctx: click.Context,
+    dataset: Path,
+    run_path: Path,
+    format_name: str | None,
+    frames: slice | None,
+    sensors: tuple[str, ...],
+    lossless: bool,
+    overwrite: bool,
+) -> None:
+    """Read and check the recording in the folder DATASET and convert it into a run directory.
+
+    Frames that cannot be read are skipped and reported; the manifest of the run lists them. A run that is up to date
+    is left as it is.
+    """
+    from ..datasets import open_dataset
+    from ..recon.events import Note
+    from ..recon.preprocess import preprocess
+    from ..recon.run import RunDirectory
+
+    on_event = listener(ctx)
+    recording = open_dataset(dataset, format_name)
+    summary = preprocess(
+        recording,
+        RunDirectory(run_path),
+        dataset=dataset,
+        dataset_format=recording.format,
+        frames=frames,
+        sensors=sensors or None,
+        lossless=lossless,
+        overwrite=overwrite,
+        on_event=on_event,
+    )
+    if not summary.unchanged:
+        rate = summary.frames / max(summary.seconds, 1e-3)
+        names = ", ".join(summary.sensors)
+        text = f"{summary.frames} frames of {recording.name} ({names}) in {run_path}, {rate:.0f} frames/s"
+        on_event(Note(f"{text}; next: uncle map --run {run_path}"))

@@ -1,0 +1,315 @@
+"""From a recording to the frames of a run: read, check, convert, and put in place in one step."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import shutil
+import time
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TypeVar
+
+import cv2
+import numpy as np
+
+from .errors import DataError, FrameError
+from .events import Note, OnEvent, Warn, ignore, track_progress
+from .features import normals, smooth_depth
+from .frame import Recording
+from .recording import encode_normals
+from .run import FrameRecord, Manifest, RunDirectory, config_hash
+from .storage import DEPTH_UNITS_PER_M, encode_metres, explain_write_errors, write_image, write_text
+from .trajectory import Trajectory
+
+STAGE = "preprocess"
+MAX_DEPTH_M = 65535 / DEPTH_UNITS_PER_M  # what a 16-bit image of millimetres can hold
+FRAMES_AHEAD = 2  # frames waiting per thread: keeps all of them busy with little memory
+
+T = TypeVar("T")
+R = TypeVar("R")
+
+
+@dataclass(frozen=True)
+class PreprocessSummary:
+    """`skipped` maps "source index" (a frame) or "source index/sensor" (one image) to the reason."""
+
+    frames: int
+    sensors: tuple[str, ...]
+    skipped: dict[str, str]
+    seconds: float
+    unchanged: bool  # an earlier result was kept
+
+
+def preprocess(
+    recording: Recording,
+    run: RunDirectory,
+    *,
+    dataset: Path,
+    dataset_format: str,
+    frames: slice | None = None,
+    sensors: Sequence[str] | None = None,
+    lossless: bool = False,
+    overwrite: bool = False,
+    on_event: OnEvent = ignore,
+) -> PreprocessSummary:
+    """Convert `recording` into the frames of `run`; what the run held before stays until the new frames are whole.
+
+    A frame without readable colour or without any readable depth is skipped, an unreadable depth image is left out;
+    both are reported and listed in the manifest. Stages made from earlier frames are marked as not done.
+
+    Raises DataError if a sensor is unknown or never reads anything, or if no frame is usable; RunError if the run
+    cannot be written.
+    """
+    chosen = _chosen_sensors(recording, sensors)
+    indices = range(len(recording))[frames or slice(None)]
+    if not indices:
+        raise DataError(f"--frames selects none of the {len(recording)} frames of {dataset}")
+    settings = config_hash(dataset_hash(dataset, run.root), dataset_format, [*indices], chosen, lossless)
+    if not overwrite and run.manifest_path.exists() and run.is_current(STAGE, settings):
+        return _unchanged(run, on_event)
+
+    started = time.time()
+    for note in recording.notes:
+        on_event(Note(note))
+    converter = _Converter(recording, chosen, ".png" if lossless else ".jpg")
+    with _staging(run) as staging:
+        results = _convert_all(converter, staging, indices, on_event)
+        _report(results, recording, on_event)
+        records = _renumbered(results, staging)
+        _require_usable(records, results, chosen, dataset)
+        write_text(staging.frames_path, json.dumps([record.model_dump(mode="json") for record in records], indent=1))
+        manifest = _manifest(recording, dataset, dataset_format, chosen, results)
+        _publish(run, staging, manifest, records, on_event)
+    seconds = time.time() - started
+    facts = {
+        "frames": len(records),
+        "frames_per_s": round(len(indices) / seconds, 1),
+        "sensors": list(chosen),
+        "frame_range": [indices.start, indices.stop, indices.step],
+        "lossless": lossless,
+    }
+    run.finish_stage(STAGE, settings, started, facts)
+    return PreprocessSummary(len(records), chosen, manifest.skipped, seconds, unchanged=False)
+
+
+def dataset_hash(dataset: Path, excluded: Path) -> str:
+    """Hash of names, sizes and times of the files below `dataset`, without hidden ones and those below `excluded`."""
+    digest = hashlib.sha256(str(dataset.resolve()).encode())
+    for folder, folders, files in os.walk(dataset):
+        here = Path(folder)
+        folders[:] = sorted(n for n in folders if n[0] != "." and (here / n).resolve() != excluded.resolve())
+        for name in sorted(name for name in files if name[0] != "."):
+            try:
+                status = (here / name).stat()
+            except OSError:
+                continue
+            digest.update(f"{here / name}\0{status.st_size}\0{status.st_mtime_ns}\0".encode())
+    return digest.hexdigest()
+
+
+@dataclass(frozen=True)
+class _Result:
+    """What became of one frame of the recording: `record` is None if it was skipped."""
+
+    source_index: int
+    record: FrameRecord | None
+    skipped: dict[str, str]  # as in Manifest.skipped
+
+
+@dataclass(frozen=True)
+class _Converter:
+    """Converts one frame at a time; several threads may use it at once."""
+
+    recording: Recording
+    sensors: tuple[str, ...]
+    color_suffix: str
+
+    def __call__(self, staging: RunDirectory, index: int, source_index: int) -> _Result:
+        """Write the images of frame `source_index` under the number `index`."""
+        skipped: dict[str, str] = {}
+        try:
+            color = self.recording.color(source_index).numpy()
+        except FrameError as error:
+            return _Result(source_index, None, {str(source_index): str(error)})
+        depths: dict[str, np.ndarray] = {}
+        for sensor in self.sensors:
+            try:
+                depths[sensor] = cleaned_depth(self.recording.depth(source_index, sensor).numpy())
+            except FrameError as error:
+                skipped[f"{source_index}/{sensor}"] = str(error)
+        if not depths:
+            return _Result(source_index, None, {str(source_index): "; ".join(skipped.values())})
+        seen = {sensor: depth for sensor, depth in depths.items() if depth.any()}
+        skipped |= {f"{source_index}/{sensor}": "no depth reading" for sensor in depths if sensor not in seen}
+        record = self._record(index, source_index, tuple(seen))
+        write_image(staging.color_path(record.color), color)
+        for sensor, depth in seen.items():
+            self._write_sensor(staging, sensor, index, depth)
+        return _Result(source_index, record, skipped)
+
+    def _record(self, index: int, source_index: int, sensors: tuple[str, ...]) -> FrameRecord:
+        pose = self.recording.pose(source_index)
+        return FrameRecord(
+            index=index,
+            source_index=source_index,
+            timestamp=self.recording.timestamp(source_index),
+            color=f"{index:06d}{self.color_suffix}",
+            sensors=sensors,
+            T_world_camera=pose.tolist() if pose is not None and np.isfinite(pose).all() else None,
+        )
+
+    def _write_sensor(self, staging: RunDirectory, sensor: str, index: int, depth: np.ndarray) -> None:
+        write_image(staging.depth_path(sensor, index), encode_metres(depth, DEPTH_UNITS_PER_M))
+        directions = normals(smooth_depth(depth), self.recording.camera)
+        write_image(staging.normal_path(sensor, index), encode_normals(directions))
+
+
+def cleaned_depth(depth: np.ndarray) -> np.ndarray:
+    """(H, W) float32 metres with 0 for whatever is no reading: not finite, negative, or too far to be stored."""
+    return np.where((depth > 0.5 / DEPTH_UNITS_PER_M) & (depth < MAX_DEPTH_M), depth, np.float32(0.0))
+
+
+def _chosen_sensors(recording: Recording, sensors: Sequence[str] | None) -> tuple[str, ...]:
+    chosen = tuple(dict.fromkeys(sensors)) if sensors else recording.sensors
+    unknown = [name for name in chosen if name not in recording.sensors]
+    if unknown:
+        raise DataError(f"{recording.name} has no sensor {unknown[0]!r}; it has: {', '.join(recording.sensors)}")
+    return chosen
+
+
+def _unchanged(run: RunDirectory, on_event: OnEvent) -> PreprocessSummary:
+    manifest = run.manifest
+    record = manifest.stages[STAGE]
+    on_event(Note(f"{run.root} is up to date with {manifest.dataset}; --overwrite redoes it"))
+    return PreprocessSummary(record.facts["frames"], manifest.sensors, manifest.skipped, 0.0, unchanged=True)
+
+
+@contextmanager
+def _staging(run: RunDirectory) -> Iterator[RunDirectory]:
+    """A run directory inside `run` to build the new frames in; it is gone afterwards, whatever happened."""
+    staging = RunDirectory(run.root / "frames.part")
+    existed = run.root.exists()
+    with explain_write_errors(run.root):
+        shutil.rmtree(staging.root, ignore_errors=True)  # of an interrupted attempt
+        staging.root.mkdir(parents=True)
+    try:
+        yield staging
+    finally:
+        shutil.rmtree(staging.root, ignore_errors=True)
+        if not existed and not any(run.root.iterdir()):
+            run.root.rmdir()
+
+
+def _convert_all(
+    converter: _Converter, staging: RunDirectory, indices: Sequence[int], on_event: OnEvent
+) -> list[_Result]:
+    """Convert the frames `indices` in parallel; results in order."""
+    threads = os.cpu_count() or 1
+    threads_of_opencv = cv2.getNumThreads()
+    cv2.setNumThreads(1)  # the frames already keep every core busy
+    try:
+        with ThreadPoolExecutor(threads) as pool:
+            results = _ordered(
+                pool, lambda pair: converter(staging, *pair), [*enumerate(indices)], FRAMES_AHEAD * threads
+            )
+            return list(track_progress(results, len(indices), STAGE, on_event))
+    finally:
+        cv2.setNumThreads(threads_of_opencv)
+
+
+def _ordered(pool: ThreadPoolExecutor, work: Callable[[T], R], items: Sequence[T], ahead: int) -> Iterator[R]:
+    """Results in the order of `items`, at most `ahead` of them begun; nothing new is begun after a failure."""
+    pending: list[Future[R]] = [pool.submit(work, item) for item in items[:ahead]]
+    try:
+        for position in range(len(items)):
+            result = pending.pop(0).result()
+            if position + ahead < len(items):
+                pending.append(pool.submit(work, items[position + ahead]))
+            yield result
+    finally:
+        for future in pending:
+            future.cancel()
+
+
+def _report(results: Sequence[_Result], recording: Recording, on_event: OnEvent) -> None:
+    """One warning for each kind of trouble: how often, and the first case."""
+    frames = [reason for r in results if r.record is None for reason in r.skipped.values()]
+    if frames:
+        on_event(Warn(f"{len(frames)} of {len(results)} frames skipped; the first: {frames[0]}"))
+    for sensor in recording.sensors:
+        reasons = [r.skipped[key] for r in results if r.record and (key := f"{r.source_index}/{sensor}") in r.skipped]
+        if reasons:
+            on_event(Warn(f"{len(reasons)} of {len(results)} {sensor} images left out; the first: {reasons[0]}"))
+    lost = [r.source_index for r in results if r.record and r.record.T_world_camera is None]
+    if lost and recording.has_poses:
+        on_event(Warn(f"{len(lost)} of {len(results)} frames have no usable pose; the first is frame {lost[0]}"))
+
+
+def _renumbered(results: Sequence[_Result], staging: RunDirectory) -> list[FrameRecord]:
+    """Records of the frames that were kept, numbered without gaps; their files are renamed accordingly."""
+    kept = [result.record for result in results if result.record]
+    records = []
+    with explain_write_errors(staging.root):
+        for index, record in enumerate(kept):
+            new = record.model_copy(update={"index": index, "color": f"{index:06d}{Path(record.color).suffix}"})
+            if index != record.index:
+                staging.color_path(record.color).rename(staging.color_path(new.color))
+                for sensor in record.sensors:
+                    staging.depth_path(sensor, record.index).rename(staging.depth_path(sensor, index))
+                    staging.normal_path(sensor, record.index).rename(staging.normal_path(sensor, index))
+            records.append(new)
+    return records
+
+
+def _require_usable(
+    records: Sequence[FrameRecord], results: Sequence[_Result], sensors: Sequence[str], dataset: Path
+) -> None:
+    if not records:
+        reason = next(iter(results[0].skipped.values()))
+        raise DataError(f"none of the {len(results)} frames of {dataset} is usable; the first: {reason}")
+    blind = [sensor for sensor in sensors if not any(sensor in record.sensors for record in records)]
+    if blind:
+        others = [sensor for sensor in sensors if sensor not in blind]
+        advice = f"; leave it out with --sensors {' '.join(others)}" if others else ""
+        raise DataError(f"sensor {blind[0]} of {dataset} has no depth reading in any frame{advice}")
+
+
+def _manifest(
+    recording: Recording, dataset: Path, dataset_format: str, sensors: tuple[str, ...], results: Sequence[_Result]
+) -> Manifest:
+    return Manifest(
+        dataset=str(dataset.resolve()),
+        dataset_format=dataset_format,
+        name=recording.name,
+        camera=recording.camera.to_dict(),
+        sensors=sensors,
+        has_timestamps=recording.has_timestamps,
+        reference_mesh=str(recording.reference_mesh.resolve()) if recording.reference_mesh else None,
+        skipped={key: reason for result in results for key, reason in result.skipped.items()},
+    )
+
+
+def _publish(
+    run: RunDirectory, staging: RunDirectory, manifest: Manifest, records: Sequence[FrameRecord], on_event: OnEvent
+) -> None:
+    """Put the new frames in the place of the old. The manifest comes first: without its stages, no half is trusted."""
+    stale = [stage for stage in run.manifest.stages if stage != STAGE] if run.manifest_path.exists() else []
+    if stale:
+        on_event(Warn(f"made from the earlier frames and to be redone: {', '.join(stale)}"))
+    run.save_manifest(manifest)
+    with explain_write_errors(run.root):
+        current, replaced = run.frames_path.parent, staging.root / "replaced"
+        if current.exists():
+            current.rename(replaced)
+        staging.frames_path.parent.rename(current)
+    posed = [record for record in records if record.T_world_camera is not None]
+    if posed:
+        poses = np.array([record.T_world_camera for record in posed])
+        Trajectory(np.array([record.timestamp for record in posed]), poses).save(run.reference_trajectory_path)
+    else:
+        run.reference_trajectory_path.unlink(missing_ok=True)
