@@ -36,8 +36,9 @@ def read(path: Path) -> FileRecording:
     if not colors:
         raise DataError(f"{trajectory / 'left_rgb'} holds no PNG or JPG images")
     width, height = read_size(next(iter(colors.values())))
-    # The cameras were rendered with a horizontal field of view of 90 degrees.
-    default = Calibration(Camera(width, height, width / 2, width / 2, width / 2, height / 2))
+    # Rendered with a horizontal field of view of 90 degrees about the middle of the image. The middle is width / 2
+    # counted from the outer edge of the first pixel, hence (width - 1) / 2 from its centre, which is our origin.
+    default = Calibration(Camera(width, height, width / 2, width / 2, (width - 1) / 2, (height - 1) / 2))
     calibration, camera_notes = calibration_or(trajectory, default)
     sensors = {_sensor_name(folder.name): list_files(folder) for folder in _depth_folders(trajectory)}
     poses = list_files(trajectory / "left_camera_matrix", (".txt",))
