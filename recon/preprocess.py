@@ -17,17 +17,15 @@ from typing import TypeVar
 import cv2
 import numpy as np
 
-from .errors import DataError, FrameError
+from .conversion import FrameConverter, FrameResult
+from .errors import DataError, RunError
 from .events import Note, OnEvent, Warn, ignore, track_progress
-from .features import normals, smooth_depth
 from .frame import Recording
-from .recording import encode_normals
 from .run import FrameRecord, Manifest, RunDirectory, config_hash
-from .storage import DEPTH_UNITS_PER_M, encode_metres, explain_write_errors, write_image, write_text
+from .storage import explain_write_errors, write_text
 from .trajectory import Trajectory
 
 STAGE = "preprocess"
-MAX_DEPTH_M = 65535 / DEPTH_UNITS_PER_M  # what a 16-bit image of millimetres can hold
 FRAMES_AHEAD = 2  # frames waiting per thread: keeps all of them busy with little memory
 
 T = TypeVar("T")
@@ -70,13 +68,14 @@ def preprocess(
     if not indices:
         raise DataError(f"--frames selects none of the {len(recording)} frames of {dataset}")
     settings = config_hash(dataset_hash(dataset, run.root), dataset_format, [*indices], chosen, lossless)
-    if not overwrite and run.manifest_path.exists() and run.is_current(STAGE, settings):
-        return _unchanged(run, on_event)
+    earlier = _earlier_manifest(run, dataset)
+    if not overwrite and earlier and STAGE in earlier.stages and earlier.stages[STAGE].config_hash == settings:
+        return _unchanged(run, earlier, on_event)
 
     started = time.time()
     for note in recording.notes:
         on_event(Note(note))
-    converter = _Converter(recording, chosen, ".png" if lossless else ".jpg")
+    converter = FrameConverter(recording, chosen, ".png" if lossless else ".jpg")
     with _staging(run) as staging:
         results = _convert_all(converter, staging, indices, on_event)
         _report(results, recording, on_event)
@@ -84,7 +83,9 @@ def preprocess(
         _require_usable(records, results, chosen, dataset)
         write_text(staging.frames_path, json.dumps([record.model_dump(mode="json") for record in records], indent=1))
         manifest = _manifest(recording, dataset, dataset_format, chosen, results)
-        _publish(run, staging, manifest, records, on_event)
+        if stale := [stage for stage in (earlier.stages if earlier else ()) if stage != STAGE]:
+            on_event(Warn(f"made from the earlier frames and to be redone: {', '.join(stale)}"))
+        _publish(run, staging, manifest, records)
     seconds = time.time() - started
     facts = {
         "frames": len(records),
@@ -112,68 +113,6 @@ def dataset_hash(dataset: Path, excluded: Path) -> str:
     return digest.hexdigest()
 
 
-@dataclass(frozen=True)
-class _Result:
-    """What became of one frame of the recording: `record` is None if it was skipped."""
-
-    source_index: int
-    record: FrameRecord | None
-    skipped: dict[str, str]  # as in Manifest.skipped
-
-
-@dataclass(frozen=True)
-class _Converter:
-    """Converts one frame at a time; several threads may use it at once."""
-
-    recording: Recording
-    sensors: tuple[str, ...]
-    color_suffix: str
-
-    def __call__(self, staging: RunDirectory, index: int, source_index: int) -> _Result:
-        """Write the images of frame `source_index` under the number `index`."""
-        skipped: dict[str, str] = {}
-        try:
-            color = self.recording.color(source_index).numpy()
-        except FrameError as error:
-            return _Result(source_index, None, {str(source_index): str(error)})
-        depths: dict[str, np.ndarray] = {}
-        for sensor in self.sensors:
-            try:
-                depths[sensor] = cleaned_depth(self.recording.depth(source_index, sensor).numpy())
-            except FrameError as error:
-                skipped[f"{source_index}/{sensor}"] = str(error)
-        if not depths:
-            return _Result(source_index, None, {str(source_index): "; ".join(skipped.values())})
-        seen = {sensor: depth for sensor, depth in depths.items() if depth.any()}
-        skipped |= {f"{source_index}/{sensor}": "no depth reading" for sensor in depths if sensor not in seen}
-        record = self._record(index, source_index, tuple(seen))
-        write_image(staging.color_path(record.color), color)
-        for sensor, depth in seen.items():
-            self._write_sensor(staging, sensor, index, depth)
-        return _Result(source_index, record, skipped)
-
-    def _record(self, index: int, source_index: int, sensors: tuple[str, ...]) -> FrameRecord:
-        pose = self.recording.pose(source_index)
-        return FrameRecord(
-            index=index,
-            source_index=source_index,
-            timestamp=self.recording.timestamp(source_index),
-            color=f"{index:06d}{self.color_suffix}",
-            sensors=sensors,
-            T_world_camera=pose.tolist() if pose is not None and np.isfinite(pose).all() else None,
-        )
-
-    def _write_sensor(self, staging: RunDirectory, sensor: str, index: int, depth: np.ndarray) -> None:
-        write_image(staging.depth_path(sensor, index), encode_metres(depth, DEPTH_UNITS_PER_M))
-        directions = normals(smooth_depth(depth), self.recording.camera)
-        write_image(staging.normal_path(sensor, index), encode_normals(directions))
-
-
-def cleaned_depth(depth: np.ndarray) -> np.ndarray:
-    """(H, W) float32 metres with 0 for whatever is no reading: not finite, negative, or too far to be stored."""
-    return np.where((depth > 0.5 / DEPTH_UNITS_PER_M) & (depth < MAX_DEPTH_M), depth, np.float32(0.0))
-
-
 def _chosen_sensors(recording: Recording, sensors: Sequence[str] | None) -> tuple[str, ...]:
     chosen = tuple(dict.fromkeys(sensors)) if sensors else recording.sensors
     unknown = [name for name in chosen if name not in recording.sensors]
@@ -182,8 +121,21 @@ def _chosen_sensors(recording: Recording, sensors: Sequence[str] | None) -> tupl
     return chosen
 
 
-def _unchanged(run: RunDirectory, on_event: OnEvent) -> PreprocessSummary:
-    manifest = run.manifest
+def _earlier_manifest(run: RunDirectory, dataset: Path) -> Manifest | None:
+    """The manifest of what `run` holds; None if nothing, or nothing of use. Raises RunError if it is not a run."""
+    if run.root.resolve() == dataset.resolve():
+        raise RunError(f"{run.root} is the data set itself; choose another place with --run")
+    if not run.manifest_path.exists():
+        if run.frames_path.parent.exists():
+            raise RunError(f"{run.frames_path.parent} is not part of a run; choose another place with --run")
+        return None
+    try:
+        return run.manifest
+    except RunError:  # damaged, or of another version: this is the command that redoes it
+        return None
+
+
+def _unchanged(run: RunDirectory, manifest: Manifest, on_event: OnEvent) -> PreprocessSummary:
     record = manifest.stages[STAGE]
     on_event(Note(f"{run.root} is up to date with {manifest.dataset}; --overwrite redoes it"))
     return PreprocessSummary(record.facts["frames"], manifest.sensors, manifest.skipped, 0.0, unchanged=True)
@@ -206,8 +158,8 @@ def _staging(run: RunDirectory) -> Iterator[RunDirectory]:
 
 
 def _convert_all(
-    converter: _Converter, staging: RunDirectory, indices: Sequence[int], on_event: OnEvent
-) -> list[_Result]:
+    converter: FrameConverter, staging: RunDirectory, indices: Sequence[int], on_event: OnEvent
+) -> list[FrameResult]:
     """Convert the frames `indices` in parallel; results in order."""
     threads = os.cpu_count() or 1
     threads_of_opencv = cv2.getNumThreads()
@@ -236,7 +188,7 @@ def _ordered(pool: ThreadPoolExecutor, work: Callable[[T], R], items: Sequence[T
             future.cancel()
 
 
-def _report(results: Sequence[_Result], recording: Recording, on_event: OnEvent) -> None:
+def _report(results: Sequence[FrameResult], recording: Recording, on_event: OnEvent) -> None:
     """One warning for each kind of trouble: how often, and the first case."""
     frames = [reason for r in results if r.record is None for reason in r.skipped.values()]
     if frames:
@@ -250,7 +202,7 @@ def _report(results: Sequence[_Result], recording: Recording, on_event: OnEvent)
         on_event(Warn(f"{len(lost)} of {len(results)} frames have no usable pose; the first is frame {lost[0]}"))
 
 
-def _renumbered(results: Sequence[_Result], staging: RunDirectory) -> list[FrameRecord]:
+def _renumbered(results: Sequence[FrameResult], staging: RunDirectory) -> list[FrameRecord]:
     """Records of the frames that were kept, numbered without gaps; their files are renamed accordingly."""
     kept = [result.record for result in results if result.record]
     records = []
@@ -267,7 +219,7 @@ def _renumbered(results: Sequence[_Result], staging: RunDirectory) -> list[Frame
 
 
 def _require_usable(
-    records: Sequence[FrameRecord], results: Sequence[_Result], sensors: Sequence[str], dataset: Path
+    records: Sequence[FrameRecord], results: Sequence[FrameResult], sensors: Sequence[str], dataset: Path
 ) -> None:
     if not records:
         reason = next(iter(results[0].skipped.values()))
@@ -280,7 +232,7 @@ def _require_usable(
 
 
 def _manifest(
-    recording: Recording, dataset: Path, dataset_format: str, sensors: tuple[str, ...], results: Sequence[_Result]
+    recording: Recording, dataset: Path, dataset_format: str, sensors: tuple[str, ...], results: Sequence[FrameResult]
 ) -> Manifest:
     return Manifest(
         dataset=str(dataset.resolve()),
@@ -294,13 +246,8 @@ def _manifest(
     )
 
 
-def _publish(
-    run: RunDirectory, staging: RunDirectory, manifest: Manifest, records: Sequence[FrameRecord], on_event: OnEvent
-) -> None:
+def _publish(run: RunDirectory, staging: RunDirectory, manifest: Manifest, records: Sequence[FrameRecord]) -> None:
     """Put the new frames in the place of the old. The manifest comes first: without its stages, no half is trusted."""
-    stale = [stage for stage in run.manifest.stages if stage != STAGE] if run.manifest_path.exists() else []
-    if stale:
-        on_event(Warn(f"made from the earlier frames and to be redone: {', '.join(stale)}"))
     run.save_manifest(manifest)
     with explain_write_errors(run.root):
         current, replaced = run.frames_path.parent, staging.root / "replaced"

@@ -65,7 +65,7 @@ class RunFrames:
         return torch.from_numpy(image)
 
     def depth(self, index: int, sensor: str) -> Tensor:
-        """(H, W) float32 metres, 0 = no reading; all zero if the sensor has no image in this frame. Raises DataError."""
+        """(H, W) float32 metres, 0 = no reading; all 0 if the sensor has no image in this frame. Raises DataError."""
         if sensor not in self.records[index].sensors:
             return torch.zeros(self.camera.height, self.camera.width)
         image = read_image(self.run.depth_path(sensor, index), cv2.IMREAD_UNCHANGED)
@@ -104,12 +104,12 @@ class RunFrames:
 
 def encode_normals(normals: np.ndarray) -> np.ndarray:
     """(H, W, 3) unit vectors, 0 = unknown -> uint8 picture; unknown stays black."""
-    known = np.any(normals != 0, axis=-1, keepdims=True)
-    return np.where(known, np.clip(normals * 127.0 + 128.5, 1, 255), 0).astype(np.uint8)
+    known = (normals[..., :1] != 0) | (normals[..., 1:2] != 0) | (normals[..., 2:] != 0)
+    return (normals * np.float32(127.0) + np.float32(128.5)).astype(np.uint8) * known
 
 
 def decode_normals(image: np.ndarray) -> Tensor:
     """The inverse of `encode_normals`, renormalised (quantisation costs about 0.5 degrees)."""
-    known = torch.from_numpy(image.any(axis=-1, keepdims=True))
+    known = torch.from_numpy(image[..., :1] != 0)  # every channel of a known normal is at least 1
     vectors = (torch.from_numpy(image).float() - 128.0) * known
     return torch.nn.functional.normalize(vectors, dim=-1, eps=1e-6)

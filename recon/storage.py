@@ -63,10 +63,11 @@ def write_text(path: Path, text: str) -> None:
 
 def write_image(path: Path, image: np.ndarray, *, png_level: int = 1, jpeg_quality: int = 95) -> None:
     """Write an (H, W) or (H, W, 3) image; colour is RGB. The format follows the suffix. Raises RunError."""
-    ordered = image[..., ::-1] if image.ndim == 3 else image
+    ordered = cv2.cvtColor(image, cv2.COLOR_RGB2BGR) if image.ndim == 3 else np.ascontiguousarray(image)
     is_png = path.suffix.lower() == ".png"  # OpenCV warns of options that are not the format's own
-    options = [cv2.IMWRITE_PNG_COMPRESSION, png_level] if is_png else [cv2.IMWRITE_JPEG_QUALITY, jpeg_quality]
-    done, encoded = cv2.imencode(path.suffix, np.ascontiguousarray(ordered), options)
+    png = [cv2.IMWRITE_PNG_COMPRESSION, png_level, cv2.IMWRITE_PNG_STRATEGY, cv2.IMWRITE_PNG_STRATEGY_RLE]
+    options = png if is_png else [cv2.IMWRITE_JPEG_QUALITY, jpeg_quality]
+    done, encoded = cv2.imencode(path.suffix, ordered, options)
     if not done:
         raise RunError(f"cannot encode {path}: unsupported image format {path.suffix!r}")
     write_bytes(path, encoded.tobytes())

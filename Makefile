@@ -1,0 +1,50 @@
+# make demo    set up, reconstruct a small made-up room with two sensors, and say where the report is
+# make test    set up and run the tests
+#
+# On Linux pip fetches a PyTorch with GPU libraries (several GB). A smaller one can be chosen by its index:
+# make demo TORCH_INDEX=<address of the index of CPU builds>
+
+PYTHON ?= $(shell command -v python3.11 || command -v python3)
+VENV ?= .venv
+TORCH_INDEX ?=
+DEMO ?= demo
+
+BIN := $(VENV)/bin
+PIP := $(BIN)/python -m pip --disable-pip-version-check install --quiet -c constraints.txt
+STAMP := $(VENV)/.installed
+
+.PHONY: demo test test-slow lint docs system
+.DEFAULT_GOAL := test
+
+demo: $(STAMP)
+	$(BIN)/uncle demo $(DEMO)
+	@echo "The report: $$(find $(DEMO) -name report.html | head -1)"
+
+test: $(STAMP)
+	$(BIN)/python -m pytest
+
+test-slow: $(STAMP)
+	$(BIN)/python -m pytest -m slow
+
+lint: $(STAMP)
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+
+docs: $(STAMP)
+	$(BIN)/python docs/generate_cli.py
+
+# The machine is asked first, because a missing library would show much later and say much less.
+system:
+	@test -n "$(PYTHON)" || { echo "no Python found; install it with: sudo apt-get install -y python3 python3-venv" >&2; exit 1; }
+	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || \
+	  { echo "$$($(PYTHON) --version) is too old, 3.11 is needed; name another one: make PYTHON=/path/to/python3.11" >&2; exit 1; }
+	@$(PYTHON) -c 'import ensurepip, venv' 2>/dev/null || \
+	  { echo "Python's venv is missing; install it with: sudo apt-get install -y $$(basename $(PYTHON))-venv" >&2; exit 1; }
+	@$(PYTHON) -I recon/system.py
+
+$(STAMP): pyproject.toml constraints.txt | system
+	@echo 'Setting up $(VENV); the first time takes a few minutes.'
+	@test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
+	@$(PIP) $(if $(TORCH_INDEX),--extra-index-url $(TORCH_INDEX)) torch
+	@$(PIP) -e '.[dev]'
+	@touch $@

@@ -1,0 +1,78 @@
+"""One frame of a recording becomes the files of one frame of a run."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from .errors import FrameError
+from .features import normals, smooth_depth
+from .frame import Recording
+from .recording import encode_normals
+from .run import FrameRecord, RunDirectory
+from .storage import DEPTH_UNITS_PER_M, encode_metres, write_image
+
+MAX_DEPTH_M = 65535 / DEPTH_UNITS_PER_M  # what a 16-bit image of millimetres can hold
+
+
+@dataclass(frozen=True)
+class FrameResult:
+    """What became of one frame of the recording: `record` is None if it was skipped."""
+
+    source_index: int
+    record: FrameRecord | None
+    skipped: dict[str, str]  # as in Manifest.skipped
+
+
+@dataclass(frozen=True)
+class FrameConverter:
+    """Converts one frame at a time; several threads may use it at once."""
+
+    recording: Recording
+    sensors: tuple[str, ...]
+    color_suffix: str
+
+    def __call__(self, staging: RunDirectory, index: int, source_index: int) -> FrameResult:
+        """Write the images of frame `source_index` under the number `index`."""
+        skipped: dict[str, str] = {}
+        try:
+            color = self.recording.color(source_index).numpy()
+        except FrameError as error:
+            return FrameResult(source_index, None, {str(source_index): str(error)})
+        depths: dict[str, np.ndarray] = {}
+        for sensor in self.sensors:
+            try:
+                depths[sensor] = cleaned_depth(self.recording.depth(source_index, sensor).numpy())
+            except FrameError as error:
+                skipped[f"{source_index}/{sensor}"] = str(error)
+        if not depths:
+            return FrameResult(source_index, None, {str(source_index): "; ".join(skipped.values())})
+        seen = {sensor: depth for sensor, depth in depths.items() if depth.any()}
+        skipped |= {f"{source_index}/{sensor}": "no depth reading" for sensor in depths if sensor not in seen}
+        record = self._record(index, source_index, tuple(seen))
+        write_image(staging.color_path(record.color), color)
+        for sensor, depth in seen.items():
+            self._write_sensor(staging, sensor, index, depth)
+        return FrameResult(source_index, record, skipped)
+
+    def _record(self, index: int, source_index: int, sensors: tuple[str, ...]) -> FrameRecord:
+        pose = self.recording.pose(source_index)
+        return FrameRecord(
+            index=index,
+            source_index=source_index,
+            timestamp=self.recording.timestamp(source_index),
+            color=f"{index:06d}{self.color_suffix}",
+            sensors=sensors,
+            T_world_camera=pose.tolist() if pose is not None and np.isfinite(pose).all() else None,
+        )
+
+    def _write_sensor(self, staging: RunDirectory, sensor: str, index: int, depth: np.ndarray) -> None:
+        write_image(staging.depth_path(sensor, index), encode_metres(depth, DEPTH_UNITS_PER_M))
+        directions = normals(smooth_depth(depth), self.recording.camera)
+        write_image(staging.normal_path(sensor, index), encode_normals(directions))
+
+
+def cleaned_depth(depth: np.ndarray) -> np.ndarray:
+    """(H, W) float32 metres with 0 for whatever is no reading: not finite, negative, or too far to be stored."""
+    return np.where((depth > 0.5 / DEPTH_UNITS_PER_M) & (depth < MAX_DEPTH_M), depth, np.float32(0.0))
