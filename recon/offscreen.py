@@ -1,0 +1,175 @@
+"""Drawing a mesh with Open3D's OffscreenRenderer, in a process of its own.
+
+The renderer needs a Vulkan or EGL driver. Where there is none it may raise, abort the process or never answer, and
+where there is one it talks on the standard streams; in another process none of that can hurt.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+import tempfile
+from collections.abc import Sequence
+from functools import cache
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from .camera import Camera
+from .errors import DependencyError
+from .events import OnEvent, ignore, track_progress
+from .raycast_view import Pictures
+from .shading import SUPERSAMPLING, Geometry, Layer, average_down, light_triangles
+from .storage import read_image, write_image
+from .views import View
+
+INSTALL_HINT = "sudo apt-get install -y libvulkan1 mesa-vulkan-drivers"
+_START_SECONDS = 30.0  # importing and opening the renderer; it takes 2 to 3
+_SECONDS_PER_PICTURE = 10.0  # it takes 0.5 at 960 x 720 with a software driver
+_TRIANGLES_AT_ONCE = 4_000_000  # triangles that one process may hold, over all its pictures
+
+
+@cache
+def is_available() -> bool:
+    """Whether the renderer works here: one tiny picture, drawn once per process."""
+    triangle = Geometry.build(np.array([[-1, -1, 2], [0, 1, 2], [1, -1, 2]], np.float32), np.array([[0, 1, 2]]))
+    layer = Layer("probe", np.full((3, 3), 128, np.uint8), 0.0)
+    view = View("probe", "probe", Camera(16, 16, 16.0, 16.0, 7.5, 7.5), np.eye(4), "nothing")
+    try:
+        picture = _render_elsewhere(triangle, [layer], [view], _START_SECONDS)["probe"][0]
+    except DependencyError:
+        return False
+    return bool(abs(int(picture[8, 8, 0]) - 128) < 16)  # a driver that draws nothing, or in other colours, is no driver
+
+
+def render(geometry: Geometry, layers: Sequence[Layer], views: Sequence[View], on_event: OnEvent = ignore) -> Pictures:
+    """Draw every layer from every view. Raises DependencyError where the renderer does not run."""
+    at_once = max(1, _TRIANGLES_AT_ONCE // max(1, len(geometry.faces) * len(layers)))
+    seconds = _START_SECONDS + _SECONDS_PER_PICTURE * min(at_once, len(views)) * len(layers) * (
+        1 + len(geometry.faces) / 1e6
+    )
+    pictures: Pictures = {layer.name: [] for layer in layers}
+    batches = [views[start : start + at_once] for start in range(0, len(views), at_once)]
+    for batch in track_progress(batches, len(batches), "snapshot", on_event, unit="batches"):
+        for name, drawn in _render_elsewhere(geometry, layers, batch, seconds).items():
+            pictures[name] += drawn
+    return pictures
+
+
+def _render_elsewhere(geometry: Geometry, layers: Sequence[Layer], views: Sequence[View], seconds: float) -> Pictures:
+    with tempfile.TemporaryDirectory(prefix="uncle-snapshot-") as folder:
+        job = Path(folder)
+        np.savez(job / "geometry.npz", vertices=geometry.vertices, faces=geometry.faces)
+        np.savez(job / "layers.npz", **{layer.name: layer.colors for layer in layers})
+        (job / "job.json").write_text(json.dumps(_describe(layers, views)))
+        command = [sys.executable, "-m", __name__, folder]
+        try:
+            done = subprocess.run(command, capture_output=True, timeout=seconds, stdin=subprocess.DEVNULL, check=False)
+        except subprocess.TimeoutExpired as error:
+            raise DependencyError(_unusable(f"no answer within {seconds:.0f} s")) from error
+        if done.returncode != 0:
+            raise DependencyError(_unusable(_last_line(done.stderr) or f"exit code {done.returncode}"))
+        return {
+            layer.name: [read_image(_picture(job, layer.name, i), cv2.IMREAD_COLOR) for i in range(len(views))]
+            for layer in layers
+        }
+
+
+def _describe(layers: Sequence[Layer], views: Sequence[View]) -> dict[str, list]:
+    return {
+        "layers": [{"name": layer.name, "contrast": layer.contrast} for layer in layers],
+        "views": [
+            {"camera": view.camera.to_dict(), "T_world_camera": view.T_world_camera.tolist(), "cut": view.cut}
+            for view in views
+        ],
+    }
+
+
+def _picture(job: Path, layer: str, view: int) -> Path:
+    return job / f"{layer}_{view}.png"
+
+
+def _unusable(reason: str) -> str:
+    return f"Open3D's offscreen renderer does not run here ({reason}); install a driver with `{INSTALL_HINT}`"
+
+
+def _last_line(stream: bytes) -> str:
+    lines = stream.decode(errors="replace").strip().splitlines()
+    return lines[-1][:200] if lines else ""
+
+
+# --- the other process ------------------------------------------------------------------------------------------
+
+
+def _work(job: Path) -> None:
+    """Draw what `_render_elsewhere` left in `job`."""
+    description = json.loads((job / "job.json").read_text())
+    with np.load(job / "geometry.npz") as arrays:
+        geometry = Geometry.build(arrays["vertices"], arrays["faces"])
+    with np.load(job / "layers.npz") as arrays:
+        layers = [Layer(row["name"], arrays[row["name"]], row["contrast"]) for row in description["layers"]]
+    views = [
+        View("", "", Camera(**row["camera"]), np.array(row["T_world_camera"]), row["cut"])
+        for row in description["views"]
+    ]
+    renderer = _open_renderer(views[0].camera)
+    # Everything is uploaded before the first picture, then shown in turn: with a software driver the renderer can wait
+    # for ever once a geometry was added or removed after a picture (seen with Open3D 0.19 and Mesa 22.3).
+    for index, view in enumerate(views):
+        lit = light_triangles(geometry, view)
+        corners = geometry.vertices[lit.faces].reshape(-1, 3)
+        for layer in layers:
+            _upload(renderer, _picture(job, layer.name, index).stem, corners, lit.paint(layer).reshape(-1, 3))
+    for index, view in enumerate(views):
+        _aim(renderer, view, geometry.vertices)
+        for layer in layers:
+            path = _picture(job, layer.name, index)
+            renderer.scene.show_geometry(path.stem, True)
+            write_image(path, average_down(np.asarray(renderer.render_to_image())[..., :3]))
+            renderer.scene.show_geometry(path.stem, False)
+
+
+def _open_renderer(camera: Camera):
+    from open3d.visualization import rendering
+
+    renderer = rendering.OffscreenRenderer(camera.width * SUPERSAMPLING, camera.height * SUPERSAMPLING)
+    renderer.scene.set_background([1.0, 1.0, 1.0, 1.0])
+    renderer.scene.view.set_post_processing(False)  # colours are final: no tone mapping, no bloom
+    return renderer
+
+
+def _aim(renderer, view: View, vertices: np.ndarray) -> None:
+    camera = view.camera.resized(view.camera.width * SUPERSAMPLING, view.camera.height * SUPERSAMPLING)
+    intrinsic = camera.matrix
+    intrinsic[:2, 2] += 0.5  # Open3D's renderer counts pixels from their corner
+    farthest = float(np.linalg.norm(vertices - view.T_world_camera[:3, 3], axis=1).max())
+    renderer.scene.camera.set_projection(
+        intrinsic, max(0.01, farthest * 1e-4), farthest * 1.1 + 0.1, float(camera.width), float(camera.height)
+    )
+    eye, forward, down = view.T_world_camera[:3, 3], view.T_world_camera[:3, 2], view.T_world_camera[:3, 1]
+    renderer.scene.camera.look_at(eye + forward, eye, -down)
+
+
+def _upload(renderer, name: str, corners: np.ndarray, colors: np.ndarray) -> None:
+    """Hand over loose triangles, hidden: corners (3K, 3) painted with colors (3K, 3) 0..255."""
+    import open3d as o3d
+
+    if len(corners) == 0:  # an empty geometry is an error there; one degenerate triangle shows as little
+        corners, colors = np.zeros((3, 3)), np.zeros((3, 3))
+    triangles = o3d.geometry.TriangleMesh()
+    triangles.vertices = o3d.utility.Vector3dVector(corners.astype(np.float64))
+    triangles.triangles = o3d.utility.Vector3iVector(np.arange(len(corners), dtype=np.int32).reshape(-1, 3))
+    triangles.vertex_colors = o3d.utility.Vector3dVector(np.clip(colors / 255.0, 0, 1).astype(np.float64))
+    material = o3d.visualization.rendering.MaterialRecord()
+    material.shader = "defaultUnlit"
+    renderer.scene.add_geometry(name, triangles, material)
+    renderer.scene.show_geometry(name, False)
+
+
+if __name__ == "__main__":
+    _work(Path(sys.argv[1]))
+    sys.stdout.flush()
+    os._exit(0)  # the pictures are written; tearing the renderer down can wait for ever too

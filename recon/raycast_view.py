@@ -1,0 +1,49 @@
+"""Drawing a mesh with the CPU ray caster: works wherever Open3D can be imported."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from .events import OnEvent, ignore, track_progress
+from .shading import BACKGROUND, SUPERSAMPLING, Geometry, Layer, LitTriangles, average_down, light_triangles
+from .views import View
+
+Pictures = dict[str, list[np.ndarray]]  # layer name -> one (H, W, 3) uint8 picture per view
+
+
+def render(geometry: Geometry, layers: Sequence[Layer], views: Sequence[View], on_event: OnEvent = ignore) -> Pictures:
+    """Draw every layer from every view."""
+    pictures: Pictures = {layer.name: [] for layer in layers}
+    for view in track_progress(views, len(views), "snapshot", on_event, unit="views"):
+        lit = light_triangles(geometry, view)
+        hits = _cast(geometry.vertices, lit.faces, view)
+        for layer in layers:
+            pictures[layer.name].append(_fill(lit, layer, *hits))
+    return pictures
+
+
+def _cast(vertices: np.ndarray, faces: np.ndarray, view: View) -> tuple[np.ndarray, np.ndarray]:
+    """(H, W) int64 triangle seen by each subpixel, -1 for none, and (H, W, 3) its barycentric weights."""
+    import open3d as o3d
+
+    camera = view.camera.resized(view.camera.width * SUPERSAMPLING, view.camera.height * SUPERSAMPLING)
+    if len(faces) == 0:
+        return np.full((camera.height, camera.width), -1), np.zeros((camera.height, camera.width, 3))
+    scene = o3d.t.geometry.RaycastingScene()
+    scene.add_triangles(np.ascontiguousarray(vertices, np.float32), np.ascontiguousarray(faces, np.uint32))
+    directions = camera.rays().numpy() @ view.T_world_camera[:3, :3].T.astype(np.float32)
+    origins = np.broadcast_to(view.T_world_camera[:3, 3].astype(np.float32), directions.shape)
+    answer = scene.cast_rays(o3d.core.Tensor(np.concatenate([origins, directions], axis=-1)))
+    hit = np.isfinite(answer["t_hit"].numpy())
+    uv = answer["primitive_uvs"].numpy()
+    weights = np.stack([1 - uv[..., 0] - uv[..., 1], uv[..., 0], uv[..., 1]], axis=-1)
+    return np.where(hit, answer["primitive_ids"].numpy().astype(np.int64), -1), weights
+
+
+def _fill(lit: LitTriangles, layer: Layer, triangles: np.ndarray, weights: np.ndarray) -> np.ndarray:
+    image = np.full((*triangles.shape, 3), BACKGROUND, dtype=np.float32)
+    hit = triangles >= 0
+    image[hit] = np.einsum("pc,pcx->px", weights[hit], lit.paint(layer)[triangles[hit]])
+    return average_down(image)

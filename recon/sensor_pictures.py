@@ -1,0 +1,132 @@
+"""What each sensor of a run sees and how far it is believed: colour, depth, beta and, where it is known, true error."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from .charts import ColorScale, encode_figure, new_figure, plain, show_picture
+from .errors import DataError
+from .events import OnEvent, Warn, ignore
+from .recording import RunFrames
+from .run import RunDirectory
+from .storage import write_bytes
+
+TRUTH = "gt"  # the sensor that holds the true depth, where a data set has one
+_ROWS = 3
+
+
+@dataclass(frozen=True)
+class SensorFrame:
+    """One sensor in one frame; NaN = no reading. depth, beta, error (H, W) metres; beta and error None if unknown."""
+
+    index: int
+    color: np.ndarray
+    depth: np.ndarray
+    beta: np.ndarray | None
+    error: np.ndarray | None
+
+
+@dataclass(frozen=True)
+class SensorScales:
+    """Scales that all sensors of a run share, so that their pictures can be compared; beta and error are one scale."""
+
+    depth: ColorScale
+    error: ColorScale
+
+
+def estimated_sensors(frames: RunFrames) -> list[str]:
+    """The sensors of a run without the true depth."""
+    return [sensor for sensor in frames.sensors if sensor != TRUTH]
+
+
+def read_sensor_frame(frames: RunFrames, index: int, sensor: str) -> SensorFrame:
+    """Depth, beta and true error of one sensor in one frame. Raises DataError."""
+    depth = _readings(frames.depth(index, sensor).numpy())
+    has_beta = frames.run.beta_path(sensor, index).is_file()
+    beta = _readings(frames.beta(index, sensor).numpy()) if has_beta else None
+    has_truth = TRUTH in frames.records[index].sensors and sensor != TRUTH
+    error = np.abs(depth - _readings(frames.depth(index, TRUTH).numpy())) if has_truth else None
+    return SensorFrame(index, frames.color(index).numpy(), depth, beta, error)
+
+
+def spread_frames(frames: RunFrames, sensor: str, count: int) -> list[int]:
+    """Up to `count` frames with an image of `sensor`, evenly spread; those with a beta map where there are any."""
+    seen = [record.index for record in frames.records if sensor in record.sensors]
+    with_beta = [index for index in seen if frames.run.beta_path(sensor, index).is_file()]
+    usable = with_beta or seen
+    return [usable[round(p)] for p in np.linspace(0, len(usable) - 1, min(count, len(usable)))] if usable else []
+
+
+def draw_sensors(run: RunDirectory, out: Path, on_event: OnEvent = ignore) -> list[Path]:
+    """Write `out`/sensor_NAME.png for every sensor that has readings; returns the files. Raises RunError."""
+    frames = RunFrames(run)
+    found: dict[str, list[SensorFrame]] = {}
+    for sensor in estimated_sensors(frames):
+        try:
+            found[sensor] = [read_sensor_frame(frames, i, sensor) for i in spread_frames(frames, sensor, _ROWS)]
+        except DataError as error:
+            on_event(Warn(f"no picture of sensor {sensor}: {error}"))
+    found = {sensor: rows for sensor, rows in found.items() if rows}
+    if not found:
+        return []
+    scales = common_scales([row for rows in found.values() for row in rows])
+    written = []
+    for sensor, rows in found.items():
+        path = out / f"sensor_{sensor}.png"
+        write_bytes(path, sensor_sheet(sensor, rows, scales))
+        written.append(path)
+    return written
+
+
+def common_scales(rows: list[SensorFrame]) -> SensorScales:
+    """Depth up to its 99th percentile; beta and error up to the 95th of whichever is larger."""
+    unsure = [_percentile([getattr(row, name) for row in rows], 95) for name in ("beta", "error")]
+    return SensorScales(
+        ColorScale("depth [m]", 0.0, max(_percentile([row.depth for row in rows], 99), 0.1), "viridis"),
+        ColorScale("[cm]", 0.0, max(*unsure, 1e-3), "turbo", 100.0),
+    )
+
+
+def sensor_sheet(sensor: str, rows: list[SensorFrame], scales: SensorScales) -> bytes:
+    """One row a frame, one column each for colour, depth, beta and true error, as far as they are known; PNG."""
+    columns = ["colour", "depth"]
+    columns += ["beta: learned scale"] if any(row.beta is not None for row in rows) else []
+    columns += ["true error"] if any(row.error is not None for row in rows) else []
+    height, width = rows[0].depth.shape
+    cell = 3.3
+    figure = new_figure(cell * len(columns), (cell * height / width) * len(rows) + 1.4)
+    grid = figure.subplots(len(rows), len(columns), squeeze=False)
+    for line, row in zip(grid, rows, strict=True):
+        for axes, column in zip(line, columns, strict=True):
+            show_picture(axes, _panel(row, column, scales), column if row is rows[0] else "")
+        line[0].set_ylabel(f"frame {row.index}")
+    for position, column in enumerate(columns[1:], start=1):
+        scale = scales.depth if column == "depth" else scales.error
+        scale.draw_bar(figure, list(grid[:, position]), location="bottom", shrink=0.9, pad=0.02, aspect=30)
+    figure.suptitle(plain(f"Sensor {sensor}"), fontsize=13)
+    return encode_figure(figure)
+
+
+def _panel(row: SensorFrame, column: str, scales: SensorScales) -> np.ndarray:
+    if column == "colour":
+        return row.color
+    if column == "depth":
+        return _painted(row.depth, scales.depth)
+    return _painted(row.beta if column.startswith("beta") else row.error, scales.error, like=row.depth)
+
+
+def _painted(values: np.ndarray | None, scale: ColorScale, like: np.ndarray | None = None) -> np.ndarray:
+    known = values if values is not None else np.full(like.shape, np.nan)
+    return np.where(np.isfinite(known)[..., None], scale.paint(known), np.uint8(235))
+
+
+def _readings(values: np.ndarray) -> np.ndarray:
+    return np.where(values > 0, values, np.nan)
+
+
+def _percentile(images: list[np.ndarray | None], share: float) -> float:
+    values = np.concatenate([image[np.isfinite(image)] for image in images if image is not None] or [np.zeros(0)])
+    return float(np.percentile(values, share)) if len(values) else 0.0

@@ -1,0 +1,223 @@
+"""Where to look at a mesh from: the cameras of its run, or around it; every picture is framed without being asked."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+
+from .camera import Camera
+
+DEFAULT_SIZE = (960, 720)
+_FILL = 0.47  # half of the picture that the scene may fill, as a share of its width or height
+_BACK_OFF = 0.15  # share of the median viewing distance by which a run's camera steps back, to show its surroundings
+_AXIS_SNAP = np.cos(np.radians(10.0))  # an up direction this close to a world axis is that axis
+
+
+Cut = Literal["back", "near_sides", "nothing"]
+
+
+@dataclass(frozen=True)
+class View:
+    """A viewpoint. `name` is fit for a file name, `title` for people.
+
+    camera           pinhole of the picture
+    T_world_camera   (4, 4) float64, OpenCV axes
+    cut              what is left out so that a room shows its inside: triangles seen from behind, or (where the
+                     mesh has no consistent front) walls and ceiling on the sides that the viewer stands on
+    """
+
+    name: str
+    title: str
+    camera: Camera
+    T_world_camera: np.ndarray
+    cut: Cut = "back"
+
+
+def picture_camera(size: tuple[int, int], half_width_tangent: float) -> Camera:
+    """Centred pinhole; `half_width_tangent` = tan(horizontal field of view / 2), `size` = width, height in pixels."""
+    width, height = size
+    focal = 0.5 * width / half_width_tangent
+    return Camera(width, height, focal, focal, (width - 1) / 2, (height - 1) / 2)
+
+
+def look_rotation(forward: np.ndarray, up: np.ndarray) -> np.ndarray:
+    """(3, 3) R_world_camera that looks along `forward` with `up` upwards in the picture (OpenCV axes)."""
+    z = forward / np.linalg.norm(forward)
+    x = np.cross(z, up)
+    if np.linalg.norm(x) < 1e-6:  # looking straight up or down: any horizontal direction will do
+        x = np.cross(z, np.roll(up, 1) + 0.1)
+    x /= np.linalg.norm(x)
+    return np.column_stack([x, np.cross(z, x), z])
+
+
+def framed_view(
+    name: str, title: str, points: np.ndarray, forward: np.ndarray, up: np.ndarray, size: tuple[int, int]
+) -> View:
+    """A view along `forward` from the distance at which all `points` (P, 3) just fill the picture."""
+    camera = picture_camera(size, half_width_tangent=0.5)
+    rotation = look_rotation(forward, up)
+    local = points @ rotation
+    limits = np.array([_FILL * camera.width / camera.fx, _FILL * camera.height / camera.fy])
+    eye = np.array([*(local[:, :2].min(0) + local[:, :2].max(0)) / 2, 0.0])
+    for _ in range(5):  # distance for this centre, then the centre of what is seen from that distance
+        eye[2] = (local[:, 2, None] - np.abs(local[:, :2] - eye[:2]) / limits).min()
+        image = (local[:, :2] - eye[:2]) / np.maximum(local[:, 2] - eye[2], 1e-9)[:, None]
+        eye[:2] += 0.5 * (image.min(0) + image.max(0)) * (np.median(local[:, 2]) - eye[2])
+    eye[2] = (local[:, 2, None] - np.abs(local[:, :2] - eye[:2]) / limits).min()
+    T_world_camera = np.eye(4)
+    T_world_camera[:3, :3], T_world_camera[:3, 3] = rotation, rotation @ eye
+    return View(name, title, camera, T_world_camera)
+
+
+def mesh_views(
+    vertices: np.ndarray, faces: np.ndarray, size: tuple[int, int] = DEFAULT_SIZE, up: np.ndarray | None = None
+) -> list[View]:
+    """Three views around a mesh of which nothing else is known, and one from above.
+
+    vertices (V, 3) metres, faces (F, 3); `up` (3,) is guessed where it is None.
+    """
+    points = framing_points(vertices, faces)
+    up = guess_up(vertices, faces) if up is None else up
+    cut: Cut = "near_sides" if _is_mixed(front_share(vertices, faces, *_rays_from_inside(points))) else "back"
+    ahead, aside = horizontal_axes(up)
+    views = []
+    for angle in (40, 160, 280):
+        azimuth = np.radians(angle)
+        forward = np.cos(azimuth) * ahead + np.sin(azimuth) * aside - 0.65 * up
+        views.append(framed_view(f"around_{angle:03d}", f"around, {angle}°", points, forward, up, size))
+    views.append(framed_view("above", "from above", points, -up - 1e-3 * ahead, ahead, size))
+    return [replace(view, cut=cut) for view in views]
+
+
+def run_views(
+    poses: np.ndarray,
+    camera: Camera,
+    vertices: np.ndarray,
+    faces: np.ndarray,
+    size: tuple[int, int] = DEFAULT_SIZE,
+    count: int = 3,
+) -> list[View]:
+    """`count` cameras of a run, far apart and stepped back a little, and one overview from outside.
+
+    poses (N, 4, 4) T_world_camera, finite; vertices (V, 3) metres, faces (F, 3).
+    """
+    points = framing_points(vertices, faces)
+    up = trajectory_up(poses)
+    tangent = float(np.clip(0.5 * camera.width / camera.fx, 0.55, 1.0))
+    views = []
+    for index in spread_poses(poses, count):
+        pose = poses[index].copy()
+        depths = (points - pose[:3, 3]) @ pose[:3, 2]
+        distance = np.median(depths[depths > 0]) if (depths > 0).any() else 0.0
+        pose[:3, 3] -= _BACK_OFF * distance * pose[:3, 2]
+        views.append(View(f"frame_{index:06d}", f"from frame {index}", picture_camera(size, tangent), pose))
+    forward = poses[:, :3, 2].mean(0)
+    forward -= (forward @ up) * up  # seen surfaces face the cameras, so look the way they looked, from further up
+    forward = forward / np.linalg.norm(forward) if np.linalg.norm(forward) > 0.05 else horizontal_axes(up)[0]
+    views.append(framed_view("overview", "overview", points, forward - 1.3 * up, up, size))
+    if _is_mixed(front_share(vertices, faces, *_rays_of_cameras(poses, tangent))):
+        views = [replace(view, cut="nothing") for view in views[:-1]] + [replace(views[-1], cut="near_sides")]
+    return views
+
+
+def spread_poses(poses: np.ndarray, count: int) -> list[int]:
+    """Indices, ascending, of up to `count` poses (N, 4, 4) that differ most in place and direction (farthest first)."""
+    spread = max(float(np.linalg.norm(np.ptp(poses[:, :3, 3], axis=0))), 1e-6)
+    features = np.concatenate([poses[:, :3, 3] / spread, poses[:, :3, 2]], axis=1)
+    chosen = [0]
+    distances = np.linalg.norm(features - features[0], axis=1)
+    while len(chosen) < min(count, len(poses)):
+        chosen.append(int(distances.argmax()))
+        distances = np.minimum(distances, np.linalg.norm(features - features[chosen[-1]], axis=1))
+    return sorted(set(chosen))
+
+
+def trajectory_up(poses: np.ndarray) -> np.ndarray:
+    """(3,) up direction of hand-held poses (N, 4, 4): people keep the camera's x axis level."""
+    mean_up = -poses[:, :3, 1].mean(0)
+    mean_up /= max(float(np.linalg.norm(mean_up)), 1e-9)
+    rights = poses[:, :3, 0]
+    values, vectors = np.linalg.eigh(rights.T @ rights / len(rights))
+    if values[1] > 0.1 and abs(vectors[:, 0] @ mean_up) > 0.5:  # the camera turned, so two level directions are known
+        mean_up = vectors[:, 0] * np.sign(vectors[:, 0] @ mean_up)
+    return _snap(mean_up)
+
+
+def guess_up(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
+    """(3,) the world axis that most area of the mesh points to: floors and table tops look up; z wins ties."""
+    triangles = vertices[faces].astype(np.float64)
+    areas = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
+    sizes = np.linalg.norm(areas, axis=1)
+    best, most = np.array([0.0, 0.0, 1.0]), 0.0
+    for axis, favour in ((2, 1.5), (1, 1.0)):  # nearly every tool and data set has z or y upright, z more often
+        for sign in (1.0, -1.0):
+            total = favour * sizes[sign * areas[:, axis] > 0.9 * sizes].sum()
+            if total > 1.02 * most:
+                best, most = sign * np.eye(3)[axis], total
+    return best
+
+
+def horizontal_axes(up: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Two unit vectors orthogonal to `up` and to each other."""
+    start = np.eye(3)[int(np.abs(up).argmin())]
+    first = start - (start @ up) * up
+    first /= np.linalg.norm(first)
+    return first, np.cross(up, first)
+
+
+def framing_points(vertices: np.ndarray, faces: np.ndarray, limit: int = 20000) -> np.ndarray:
+    """(P, 3) surface points that a picture has to show; the outermost half percent on each side may be stray."""
+    used = vertices[np.unique(faces)] if len(faces) else vertices
+    points = used[:: max(1, len(used) // limit)].astype(np.float64)
+    if len(points) < 1000:
+        return points
+    low, high = np.percentile(points, [0.5, 99.5], axis=0)
+    margin = 0.02 * (high - low)
+    return points[((points >= low - margin) & (points <= high + margin)).all(1)]
+
+
+def finite_poses(poses: Sequence[np.ndarray | None]) -> np.ndarray:
+    """(N, 4, 4) the poses that exist and are finite."""
+    kept = [pose for pose in poses if pose is not None and np.isfinite(pose).all()]
+    return np.array(kept, dtype=np.float64).reshape(-1, 4, 4)
+
+
+def _snap(direction: np.ndarray) -> np.ndarray:
+    axis = int(np.abs(direction).argmax())
+    if abs(direction[axis]) < _AXIS_SNAP:
+        return direction
+    return np.sign(direction[axis]) * np.eye(3)[axis]
+
+
+def front_share(vertices: np.ndarray, faces: np.ndarray, origins: np.ndarray, directions: np.ndarray) -> float:
+    """Share of the rays (R, 3), among those that hit the mesh, that meet a triangle from its front."""
+    import open3d as o3d
+
+    scene = o3d.t.geometry.RaycastingScene()
+    scene.add_triangles(np.ascontiguousarray(vertices, np.float32), np.ascontiguousarray(faces, np.uint32))
+    rays = np.concatenate([np.broadcast_to(origins, directions.shape), directions], axis=1).astype(np.float32)
+    answer = scene.cast_rays(o3d.core.Tensor(rays))
+    hit = np.isfinite(answer["t_hit"].numpy())
+    if not hit.any():
+        return 1.0
+    return float((np.einsum("rx,rx->r", answer["primitive_normals"].numpy(), directions)[hit] < 0).mean())
+
+
+def _is_mixed(share: float) -> bool:
+    return 0.2 < share < 0.8  # below: an object seen from its inside, whose outside is the front
+
+
+def _rays_from_inside(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    directions = np.random.default_rng(0).normal(size=(2000, 3))
+    return (points.min(0) + points.max(0)) / 2, directions / np.linalg.norm(directions, axis=1, keepdims=True)
+
+
+def _rays_of_cameras(poses: np.ndarray, tangent: float) -> tuple[np.ndarray, np.ndarray]:
+    chosen = poses[spread_poses(poses, 8)]
+    grid = np.linspace(-0.8, 0.8, 12) * tangent
+    local = np.array([[x, y, 1.0] for x in grid for y in grid])
+    directions = np.einsum("nij,rj->nri", chosen[:, :3, :3], local).reshape(-1, 3)
+    return np.repeat(chosen[:, :3, 3], len(local), axis=0), directions
