@@ -1,0 +1,226 @@
+"""Make a data set: render a room from a hand-held path, simulate its sensors, write it in SenFuNet-Replica layout."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+
+from ...recon.camera import Camera
+from ...recon.errors import ConfigError, RunError
+from ...recon.events import Note, OnEvent, ignore, track_progress
+from ...recon.storage import DEPTH_UNITS_PER_M, encode_metres, write_image, write_text
+from ..poses import OPENGL_TO_OPENCV, Z_UP_FROM_Y_UP
+from . import sensors as active
+from . import stereo
+from .path import CLEARANCE_M, FreeSpace, handheld_path
+from .render import Renderer
+from .room import furnished_room
+from .seen import SeenSurface
+from .user_mesh import load_scene
+
+BASELINE_M = 0.1
+_COLOR_NOISE = 1.2  # levels of 255, each eye on its own
+
+
+@dataclass(frozen=True)
+class Sensor:
+    """A simulated sensor: its folder, the sentence that describes it, and a number that keeps its noise its own."""
+
+    folder: str
+    model: str
+    stream: int
+
+
+SENSORS = {
+    "sl-handa": Sensor(
+        "left_depth_noise_1.0", "structured light after Handa et al. 2014, random dot pattern, no lens distortion", 1
+    ),
+    "sl-habitat": Sensor(
+        "left_depth_noise_1.0", "Redwood depth noise as in Habitat, multiplier 1, without its distortion table", 2
+    ),
+    "tof": Sensor("left_depth_noise_5.0", "time-of-flight-like model of this program: range noise, flying pixels", 3),
+    "tof-habitat": Sensor(
+        "left_depth_noise_5.0", "Redwood depth noise as in Habitat, multiplier 5, without its distortion table", 4
+    ),
+    "sgm": Sensor("left_sgm_depth", "OpenCV StereoSGBM on the rendered pair, left-right check, holes are 0", 5),
+    "dense": Sensor(
+        "left_dense_depth", "semi-global matching, filled, blurred across edges and biased; not a learned matcher", 6
+    ),
+}
+_ALIASES = {"sl": "sl-handa"}
+SENSOR_NAMES = ("sl", *SENSORS)
+
+
+def make_dataset(
+    out: Path,
+    *,
+    frames: int = 130,
+    size: int = 384,
+    seed: int = 0,
+    mesh: Path | None = None,
+    sensors: Sequence[str] = ("sl", "sgm"),
+    loops: int = 0,
+    up: str = "z",
+    overwrite: bool = False,
+    on_event: OnEvent = ignore,
+) -> Path:
+    """Write a data set to `out` and return it. The same arguments give the same files.
+
+    frames, size   number of images and their width and height in pixels; the field of view is 90 degrees
+    mesh, up       the user's mesh instead of the made room, and which of its axes ("z", "y") points up
+    sensors        names of `SENSOR_NAMES`; true depth is always written
+    loops          how often the path comes back to where it began
+    Raises ConfigError, DataError and RunError.
+    """
+    chosen = _chosen_sensors(sensors)
+    _check_sizes(frames, size, loops, up)
+    out = Path(out)
+    _check_free(out, overwrite)
+    scene = load_scene(mesh, up) if mesh is not None else furnished_room(seed)
+    camera = Camera(size, size, size / 2, size / 2, size / 2, size / 2)
+    on_event(Note(f"scene: {mesh if mesh is not None else ', '.join(scene.contents)}"))
+    renderer = Renderer(scene, camera, np.random.default_rng([seed, 2]))
+    free = FreeSpace.find(renderer.raycaster, *scene.bounds)
+    poses = handheld_path(free, frames, np.random.default_rng([seed, 3]), loops)
+    _clear(out)
+    recorder = _Recorder(out / "1", renderer, camera, chosen, seed)
+    surface = SeenSurface(renderer)
+    with ThreadPoolExecutor(max_workers=min(4, os.cpu_count() or 1)) as pool:
+        try:
+            for index in track_progress(
+                pool.map(partial(_record, recorder, poses), range(frames)), frames, "synth", on_event
+            ):
+                surface.add(poses[index], camera)
+        except BaseException:
+            pool.shutdown(cancel_futures=True)
+            raise
+    surface.mesh().save(out / "mesh_gt.ply")
+    facts = _facts(frames, size, seed, mesh, up, chosen, loops, scene.contents)
+    write_text(out / "synth.json", json.dumps(facts, indent=2) + "\n")  # last: it says that the data set is whole
+    return out
+
+
+def _record(recorder: _Recorder, poses: np.ndarray, index: int) -> int:
+    recorder.record(index, poses[index])
+    return index
+
+
+class _Recorder:
+    """Renders one frame and writes all its files. Frames do not depend on each other."""
+
+    def __init__(self, folder: Path, renderer: Renderer, camera: Camera, sensors: Sequence[str], seed: int) -> None:
+        self.folder, self.renderer, self.camera = folder, renderer, camera
+        self.sensors, self.seed = sensors, seed
+        self.fb = camera.fx * BASELINE_M
+        self.bias = stereo.bias_field(camera.height, camera.width, np.random.default_rng([seed, 4]))
+
+    def record(self, index: int, T_world_camera: np.ndarray) -> None:
+        """Write frame `index`, seen from the pose (4, 4) of its left eye. Raises RunError."""
+        right_pose = T_world_camera.copy()
+        right_pose[:3, 3] += BASELINE_M * T_world_camera[:3, 0]
+        left = self.renderer.render(T_world_camera)
+        right = self.renderer.render(right_pose)
+        rng = np.random.default_rng([self.seed, 5, index])
+        images = [_noisy(view.color, rng) for view in (left, right)]
+        for name, image in zip(("left_rgb", "right_rgb"), images, strict=True):
+            write_image(self.folder / name / f"{index}.png", image)
+        self._write_depth("left_depth_gt", index, left.depth)
+        for name in self.sensors:
+            self._write_depth(SENSORS[name].folder, index, self._sense(name, index, left.depth, images))
+        matrix = pose_file_matrix(T_world_camera)
+        rows = "\n".join(" ".join(f"{value:.9f}" for value in row) for row in matrix)
+        write_text(self.folder / "left_camera_matrix" / f"{index}.txt", rows + "\n")
+
+    def _sense(self, name: str, index: int, depth: np.ndarray, images: list[np.ndarray]) -> np.ndarray:
+        rng = np.random.default_rng([self.seed, 6, SENSORS[name].stream, index])
+        match name:
+            case "sl-handa":
+                return active.structured_light_handa(depth, rng, self.camera.fx)
+            case "sl-habitat":
+                return active.structured_light_redwood(depth, rng)
+            case "tof":
+                return active.time_of_flight(depth, rng, self.camera.fx)
+            case "tof-habitat":
+                return active.structured_light_redwood(depth, rng, multiplier=5.0)
+            case "sgm":
+                return stereo.semi_global_matching(*images, self.fb)
+            case _:
+                return stereo.dense_stereo(*images, self.fb, self.bias)
+
+    def _write_depth(self, folder: str, index: int, depth: np.ndarray) -> None:
+        write_image(self.folder / folder / f"{index}.png", encode_metres(depth, DEPTH_UNITS_PER_M))
+
+
+def pose_file_matrix(T_world_camera: np.ndarray) -> np.ndarray:
+    """(4, 4) as SenFuNet stores it: OpenGL camera axes in a world with y up. The inverse of what its reader does."""
+    return Z_UP_FROM_Y_UP.T @ T_world_camera @ OPENGL_TO_OPENCV
+
+
+def _noisy(color: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+    noise = rng.standard_normal(color.shape, dtype=np.float32)
+    return np.clip(color + _COLOR_NOISE * noise + 0.5, 0, 255).astype(np.uint8)
+
+
+def _chosen_sensors(names: Sequence[str]) -> tuple[str, ...]:
+    chosen: dict[str, str] = {}
+    for name in names:
+        resolved = _ALIASES.get(name, name)
+        if resolved not in SENSORS:
+            raise ConfigError(f"there is no simulated sensor {name!r}; choose from {', '.join(SENSOR_NAMES)}")
+        other = chosen.setdefault(SENSORS[resolved].folder, resolved)
+        if other != resolved:
+            raise ConfigError(
+                f"{other} and {resolved} are variants of one sensor and share a folder; choose one of them"
+            )
+    return tuple(chosen.values())
+
+
+def _check_sizes(frames: int, size: int, loops: int, up: str) -> None:
+    if not 1 <= frames <= 100_000:
+        raise ConfigError(f"frames must lie between 1 and 100000, not {frames}")
+    if not 32 <= size <= 2048:
+        raise ConfigError(f"the size must lie between 32 and 2048 pixels, not {size}")
+    if loops < 0 or (loops and frames < 12 * loops + 1):
+        raise ConfigError(f"{loops} loops need at least {12 * max(loops, 0) + 1} frames, not {frames}")
+    if up not in ("z", "y"):
+        raise ConfigError(f"up must be z or y, not {up!r}")
+
+
+def _check_free(out: Path, overwrite: bool) -> None:
+    if out.is_file():
+        raise RunError(f"{out} is a file; name a new folder")
+    if out.is_dir() and any(out.iterdir()) and not overwrite:
+        raise RunError(f"{out} is not empty; name another folder, or give --overwrite to replace the data set in it")
+
+
+def _clear(out: Path) -> None:
+    """Remove an older data set and nothing else."""
+    shutil.rmtree(out / "1", ignore_errors=True)
+    for name in ("mesh_gt.ply", "synth.json"):
+        (out / name).unlink(missing_ok=True)
+
+
+def _facts(frames, size, seed, mesh, up, chosen, loops, contents) -> dict:
+    return {
+        "made_by": "uncle synth: rendered images and simulated sensors, not a recording",
+        "layout": "SenFuNet-Replica",
+        "parameters": {
+            "frames": frames, "size_px": size, "seed": seed, "loops": loops,
+            "mesh": str(mesh) if mesh is not None else None, "up": up,
+        },
+        "scene": {"kind": "user mesh" if mesh is not None else "procedural room", "contents": list(contents)},
+        "camera": {"hfov_deg": 90.0, "focal_px": size / 2, "center_px": size / 2, "stereo_baseline_m": BASELINE_M},
+        "path": {"kind": "spline through random waypoints with hand shake", "clearance_m": CLEARANCE_M},
+        "color": {"noise_sigma_levels": _COLOR_NOISE, "shading": "diffuse; no highlights, no motion blur"},
+        "sensors": {"left_depth_gt": "exact depth, rounded to millimetres"}
+        | {SENSORS[name].folder: f"{name}: {SENSORS[name].model}" for name in chosen},
+        "mesh_gt": "surface seen by at least one left image, triangles of 5 cm or less, z up",
+    }  # fmt: skip
