@@ -79,11 +79,19 @@ def read_image(path: Path, flags: int) -> np.ndarray:
         data = np.fromfile(path, dtype=np.uint8)
     except OSError as error:
         raise DataError(f"cannot read {path}: {error.strerror}") from error
-    whole = data.size > 0 and not (data[:4].tobytes() == b"\x89PNG" and b"IEND" not in data[-64:].tobytes())
-    image = cv2.imdecode(data, flags) if whole else None  # OpenCV itself returns the readable half of a cut PNG
+    image = cv2.imdecode(data, flags) if _is_whole(data.tobytes()) else None
     if image is None:
         raise DataError(f"cannot read {path}: not a whole PNG or JPG image")
     return cv2.cvtColor(image, cv2.COLOR_BGR2RGB) if image.ndim == 3 else image
+
+
+def _is_whole(data: bytes) -> bool:
+    """Whether an image file reaches its end mark. OpenCV itself returns the readable half of a cut PNG or JPG."""
+    if data.startswith(b"\x89PNG"):
+        return b"IEND" in data[-64:]
+    if data.startswith(b"\xff\xd8"):
+        return data.rfind(b"\xff\xd9") > data.rfind(b"\xff\xda")  # end of image after the last start of scan
+    return len(data) > 0
 
 
 def encode_metres(values: np.ndarray, units_per_m: float) -> np.ndarray:
