@@ -1,7 +1,8 @@
 import cv2
 import numpy as np
 import pytest
-from uncle.datasets.images import list_files, natural_key, read_color, read_depth
+from uncle.datasets.calibration import Calibration
+from uncle.datasets.images import Undistorter, list_files, natural_key, read_color, read_depth
 from uncle.recon.camera import Camera
 from uncle.recon.errors import DataError
 
@@ -51,6 +52,14 @@ def test_truncated_image_is_an_error(tmp_path, suffix, keep):
     path.write_bytes(data[: int(keep * len(data))])
     with pytest.raises(DataError, match=path.name):
         read_color(path, Camera(80, 60, 50.0, 50.0, 40.0, 30.0))
+
+
+def test_undistortion_never_mixes_depths():
+    calibration = Calibration(Camera(80, 60, 50.0, 50.0, 40.0, 30.0), distortion=(0.3, -0.2, 0.01, 0.0))
+    depth = np.where(np.add.outer(np.arange(60), np.arange(80)) % 7 < 3, 1.0, 2.0).astype(np.float32)
+    straight = Undistorter(calibration).depth(depth)
+    assert set(np.unique(straight)) <= {0.0, 1.0, 2.0}
+    assert (straight != depth).mean() > 0.1
 
 
 def test_missing_image_is_an_error(tmp_path):
