@@ -1,0 +1,222 @@
+"""Scores of a mesh against a reference surface: precision, recall, F-score (Knapitsch et al. 2017), mean distances."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from .errors import DataError
+from .mesh_io import Mesh
+from .surface import Surface, sample_surface
+
+ICP_DISTANCE_M = 0.1  # METHOD, F-score library
+SEEN_DISTANCE_M = 0.03  # a reference point counts as seen this near to a seen one (they lie 1.5 cm apart)
+Protocol = Literal["standard", "paper"]
+CompletenessTarget = Literal["samples", "surface"]
+PointFilter = Callable[[np.ndarray], np.ndarray]  # (N, 3) points, metres -> (N,) bool
+
+
+@dataclass(frozen=True)
+class ThresholdScore:
+    """precision: share of the predicted surface within `threshold_m` of the reference; recall: the reverse; 0..1."""
+
+    threshold_m: float
+    precision: float
+    recall: float
+    f_score: float
+
+
+@dataclass(frozen=True)
+class MeshSettings:
+    """How a mesh was scored. `samples` per mesh before culling; None where the protocol takes vertices instead.
+
+    completeness_to   what stands for the predicted mesh when distances from the reference are taken
+    """
+
+    protocol: Protocol
+    completeness_to: CompletenessTarget
+    samples: int | None
+    seed: int
+    icp: bool
+    culled: bool
+
+
+@dataclass(frozen=True)
+class MeshMetrics:
+    """accuracy: distance predicted -> reference; completeness: reference -> predicted; metres, None if undefined.
+
+    The points are those that were scored, after culling. `T_reference_mesh` (4, 4) is what ICP applied.
+    """
+
+    scores: tuple[ThresholdScore, ...]
+    accuracy_mean_m: float | None
+    accuracy_median_m: float | None
+    completeness_mean_m: float | None
+    completeness_median_m: float | None
+    predicted_points: int
+    reference_points: int
+    T_reference_mesh: tuple[tuple[float, ...], ...]
+    settings: MeshSettings
+    note: str | None = None
+
+
+def evaluate_mesh(
+    mesh: Mesh,
+    reference: Mesh,
+    *,
+    thresholds_m: Sequence[float] = (0.05, 0.02),
+    samples: int = 250_000,
+    seed: int = 0,
+    icp: bool | None = None,
+    protocol: Protocol = "standard",
+    completeness_to: CompletenessTarget = "samples",
+    visible: PointFilter | None = None,
+    seen_reference: np.ndarray | None = None,
+) -> MeshMetrics:
+    """Score `mesh` against `reference`, both in metres in the same frame.
+
+    standard        area-uniform samples; accuracy is taken to the reference surface, completeness to the samples of
+                    the mesh (the usual definition) or, with `completeness_to="surface"`, to its surface; ICP off
+    paper           vertices against a sampled cloud of the other mesh; ICP on (`paper_distances`)
+    icp             overrides the protocol's habit
+    visible         keeps the predicted points that a camera could see; the others are not scored
+    seen_reference  (M, 3) points of the reference that a camera saw; only these are asked for
+
+    An empty mesh (or one with nothing visible) scores 0 and says so in `note`. Raises DataError if the reference is
+    empty or culled away, or a vertex is not finite; ValueError for thresholds or samples that are not positive.
+    """
+    _check_settings(thresholds_m, samples)
+    with_icp = protocol == "paper" if icp is None else icp
+    T = align_by_icp(mesh, reference) if with_icp and len(mesh.faces) else np.eye(4)
+    aligned = moved(mesh, T) if with_icp else mesh
+    if protocol == "paper":
+        accuracy, completeness = paper_distances(aligned, reference, seed, visible, seen_reference)
+        settings = MeshSettings(protocol, "samples", None, seed, with_icp, visible is not None)
+    else:
+        accuracy, completeness = standard_distances(
+            aligned, reference, samples, seed, completeness_to, visible, seen_reference
+        )
+        settings = MeshSettings(protocol, completeness_to, samples, seed, with_icp, visible is not None)
+    if len(completeness) == 0:
+        raise DataError("no part of the reference mesh can be scored: it has no area, or the cameras saw none of it")
+    return MeshMetrics(
+        tuple(score_at(threshold, accuracy, completeness) for threshold in thresholds_m),
+        *_mean_and_median(accuracy),
+        *_mean_and_median(completeness),
+        len(accuracy),
+        len(completeness),
+        tuple(tuple(float(x) for x in row) for row in T),
+        settings,
+        None if len(accuracy) else "the mesh has no surface that can be scored; all its scores are 0",
+    )
+
+
+def standard_distances(
+    mesh: Mesh,
+    reference: Mesh,
+    samples: int,
+    seed: int,
+    completeness_to: CompletenessTarget = "samples",
+    visible: PointFilter | None = None,
+    seen_reference: np.ndarray | None = None,
+) -> tuple[np.ndarray, np.ndarray]:
+    """Distances in metres of area-uniform samples: mesh -> reference surface, reference -> mesh."""
+    predicted = _keep(sample_surface(mesh, samples, np.random.default_rng([seed, 0])), visible)
+    if seen_reference is None:
+        seen_reference = sample_surface(reference, samples, np.random.default_rng([seed, 1]))
+    if completeness_to == "surface":
+        completeness = Surface(mesh).distance(seen_reference)
+    else:
+        completeness = nearest_distance(seen_reference, predicted)
+    return Surface(reference).distance(predicted), completeness
+
+
+def paper_distances(
+    mesh: Mesh,
+    reference: Mesh,
+    seed: int,
+    visible: PointFilter | None = None,
+    seen_reference: np.ndarray | None = None,
+) -> tuple[np.ndarray, np.ndarray]:
+    """Distances in metres as the published script takes them (METHOD, F-score library).
+
+    Sources are the vertices of both meshes. The targets are clouds: the mesh with fewer vertices is sampled with as
+    many points as the other has vertices, the other gives its vertices.
+    """
+    rng = np.random.default_rng(seed)
+    predicted, wanted = mesh.vertices.astype(np.float64), reference.vertices.astype(np.float64)
+    if len(wanted) < len(predicted):
+        predicted_cloud, wanted_cloud = predicted, sample_surface(reference, len(predicted), rng)
+    else:
+        predicted_cloud, wanted_cloud = sample_surface(mesh, len(wanted), rng), wanted
+    if seen_reference is not None:
+        wanted = wanted[near_to(seen_reference)(wanted)]
+    return nearest_distance(_keep(predicted, visible), wanted_cloud), nearest_distance(wanted, predicted_cloud)
+
+
+def score_at(threshold_m: float, accuracy: np.ndarray, completeness: np.ndarray) -> ThresholdScore:
+    """Precision, recall and their harmonic mean at one threshold; 0 where there is nothing to count."""
+    precision = float((accuracy < threshold_m).mean()) if len(accuracy) else 0.0
+    recall = float((completeness < threshold_m).mean()) if len(completeness) else 0.0
+    total = precision + recall
+    return ThresholdScore(float(threshold_m), precision, recall, 2 * precision * recall / total if total > 0 else 0.0)
+
+
+def align_by_icp(mesh: Mesh, reference: Mesh, distance_m: float = ICP_DISTANCE_M) -> np.ndarray:
+    """(4, 4) T_reference_mesh by point-to-point ICP on the vertices, from the identity (METHOD, F-score library)."""
+    import open3d as o3d
+
+    clouds = [
+        o3d.geometry.PointCloud(o3d.utility.Vector3dVector(m.vertices.astype(np.float64))) for m in (mesh, reference)
+    ]
+    registration = o3d.pipelines.registration
+    estimation = registration.TransformationEstimationPointToPoint()
+    found = registration.registration_icp(clouds[0], clouds[1], distance_m, np.eye(4), estimation)
+    return np.asarray(found.transformation)
+
+
+def moved(mesh: Mesh, T_target_mesh: np.ndarray) -> Mesh:
+    """`mesh` with its vertices moved by the rigid (4, 4) `T_target_mesh`."""
+    vertices = mesh.vertices @ T_target_mesh[:3, :3].T + T_target_mesh[:3, 3]
+    return replace(mesh, vertices=vertices.astype(np.float32))
+
+
+def color_by_distance(mesh: Mesh, reference: Mesh, limit_m: float, colormap: str = "turbo") -> Mesh:
+    """`mesh` with its vertices coloured by their distance to the reference; `limit_m` and more is the top colour."""
+    import matplotlib
+
+    distance = Surface(reference).distance(mesh.vertices)
+    share = np.clip(distance / limit_m, 0.0, 1.0)
+    return replace(mesh, colors=np.round(matplotlib.colormaps[colormap](share)[:, :3] * 255).astype(np.uint8))
+
+
+def nearest_distance(points: np.ndarray, cloud: np.ndarray) -> np.ndarray:
+    """(N, 3) points -> (N,) distance to the nearest of the (M, 3) `cloud`, metres; inf if the cloud is empty."""
+    return cKDTree(cloud).query(points)[0] if len(cloud) else np.full(len(points), np.inf)
+
+
+def near_to(cloud: np.ndarray) -> PointFilter:
+    """The filter that keeps points within `SEEN_DISTANCE_M` of the (M, 3) `cloud`."""
+    tree = cKDTree(cloud)
+    return lambda points: np.isfinite(tree.query(points, distance_upper_bound=SEEN_DISTANCE_M)[0])
+
+
+def _keep(points: np.ndarray, keep: PointFilter | None) -> np.ndarray:
+    return points if keep is None or len(points) == 0 else points[keep(points)]
+
+
+def _mean_and_median(distance: np.ndarray) -> tuple[float | None, float | None]:
+    if len(distance) == 0 or not np.isfinite(distance).all():
+        return None, None
+    return float(distance.mean(dtype=np.float64)), float(np.median(distance))
+
+
+def _check_settings(thresholds_m: Sequence[float], samples: int) -> None:
+    if not thresholds_m or min(thresholds_m) <= 0:
+        raise ValueError("thresholds_m must be positive and not empty")
+    if samples < 1:
+        raise ValueError("samples must be at least 1")
