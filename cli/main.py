@@ -45,6 +45,13 @@ class LazyGroup(click.Group):
             return super().invoke(ctx)
         except UncleError as error:
             raise click.ClickException(str(error)) from error
+        except (ImportError, OSError) as error:
+            from ..recon.system import dependency_error
+
+            explained = dependency_error(error)
+            if explained is None:
+                raise
+            raise click.ClickException(str(explained)) from error
         except KeyboardInterrupt as interrupt:
             click.echo("Stopped. What was finished is kept; run the same command again to go on.", err=True)
             raise SystemExit(130) from interrupt

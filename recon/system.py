@@ -6,10 +6,12 @@ Standard library only at import: `python -I recon/system.py` checks a machine be
 from __future__ import annotations
 
 import ctypes
-import importlib
 import sys
 from pathlib import Path
-from types import ModuleType
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from .errors import DependencyError
 
 # shared library -> Debian/Ubuntu package
 REQUIRED = {  # Open3D's wheel links against these
@@ -41,19 +43,20 @@ def install_command(packages: list[str]) -> str:
     return f"sudo apt-get install -y {' '.join(packages)}"
 
 
-def import_open3d() -> ModuleType:
-    """The module `open3d`. Raises DependencyError naming the packages to install where it cannot be loaded."""
+def dependency_error(error: ImportError | OSError) -> DependencyError | None:
+    """What to tell a person about an import that failed; None if `error` is not about something to be installed."""
     from .errors import DependencyError
 
-    try:
-        return importlib.import_module("open3d")
-    except (ImportError, OSError) as error:
+    if "cannot open shared object file" in str(error):
         missing = missing_packages()
-        if missing:
-            what = f"Open3D needs the system libraries {', '.join(missing)}"
-            raise DependencyError(f"{what}; install them with: {install_command([*missing.values()])}") from error
-        reason = str(error).splitlines()[0] if str(error) else type(error).__name__
-        raise DependencyError(f"Open3D cannot be loaded ({reason}); install it with: pip install open3d") from error
+        library = str(error).split(":")[0]
+        command = install_command([*missing.values()]) if missing else f"apt-file search {library}"
+        advice = f"install it with: {command}" if missing else f"find its package with: {command}"
+        return DependencyError(f"the system library {', '.join(missing) or library} is missing; {advice}")
+    if isinstance(error, ModuleNotFoundError) and error.name and error.name.split(".")[0] != "uncle":
+        package = error.name.split(".")[0]
+        return DependencyError(f"the Python package {package} is missing; install uncle again with: pip install -e .")
+    return None
 
 
 def _loads(library: str) -> bool:

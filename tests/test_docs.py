@@ -1,0 +1,74 @@
+"""Documentation that cannot rot: links lead somewhere, commands parse, the reference is current."""
+
+import re
+import runpy
+import shlex
+from pathlib import Path
+
+import click
+import pytest
+from uncle.cli.main import COMMANDS, main
+from uncle.recon.run import FrameRecord, Manifest, RunDirectory, StageRecord
+
+ROOT = Path(__file__).parents[1]
+PAGES = [ROOT / "README.md", ROOT / "CHANGELOG.md", *sorted((ROOT / "docs").glob("*.md"))]
+
+
+def fenced_commands() -> list[tuple[str, str]]:
+    """(page, line) of every `uncle` command in a shell block."""
+    found = []
+    for page in PAGES:
+        for block in re.findall(r"```sh\n(.*?)```", page.read_text(), flags=re.DOTALL):
+            lines = block.replace("\\\n", " ").splitlines()
+            found += [(page.name, line.strip()) for line in lines if line.strip().startswith("uncle ")]
+    return found
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def test_links_lead_somewhere(page):
+    for target in re.findall(r"\]\(([^)#]+)(?:#[^)]*)?\)", page.read_text()):
+        if "://" not in target:
+            assert (page.parent / target).exists(), f"{page.name} links to {target}"
+
+
+def test_every_page_can_be_reached():
+    reachable = (ROOT / "README.md").read_text() + (ROOT / "docs" / "index.md").read_text()
+    for page in (ROOT / "docs").glob("*.md"):
+        assert page.name == "index.md" or f"{page.name})" in reachable
+
+
+def test_there_are_commands_to_check():
+    assert len(fenced_commands()) >= 8
+
+
+@pytest.mark.parametrize(("page", "line"), fenced_commands())
+def test_commands_in_the_docs_parse(page, line):
+    words = shlex.split(line, comments=True)[1:]
+    if words[0].startswith("-"):
+        return
+    assert words[0] in COMMANDS
+    context = click.Context(main, info_name="uncle")
+    command = main.get_command(context, words[0])
+    command.make_context(words[0], words[1:], parent=context, resilient_parsing=False).close()
+
+
+def test_cli_reference_is_current():
+    page = runpy.run_path(str(ROOT / "docs" / "generate_cli.py"))
+    assert page["PAGE"].read_text() == page["render"](), "run `make docs`"
+
+
+def test_every_file_of_a_run_is_described():
+    text = (ROOT / "docs" / "run-directory.md").read_text()
+    run = RunDirectory(Path("RUN"))
+    paths = [getattr(run, name) for name, value in vars(RunDirectory).items() if isinstance(value, property)
+             and name.endswith("_path")]  # fmt: skip
+    assert len(paths) > 8
+    for path in paths:
+        assert f"`{path.relative_to('RUN')}" in text, f"{path} is not in docs/run-directory.md"
+
+
+@pytest.mark.parametrize("model", [Manifest, FrameRecord, StageRecord])
+def test_every_field_of_the_manifest_is_described(model):
+    text = (ROOT / "docs" / "run-directory.md").read_text()
+    for name in model.model_fields:
+        assert f"`{name}`" in text, f"{model.__name__}.{name} is not in docs/run-directory.md"
