@@ -35,13 +35,13 @@ class ColorScale:
         colors[~np.isfinite(values)] = 160
         return colors
 
-    def draw_bar(self, figure: Figure, axes: Axes | Sequence[Axes], **layout: object) -> None:
-        """A colour bar beside `axes`; an arrow at its end says that larger values share the last colour."""
+    def draw_bar(self, figure: Figure, **layout: object) -> None:
+        """A colour bar, placed by `layout` as `Figure.colorbar` takes it; its arrow stands for all larger values."""
         from matplotlib.cm import ScalarMappable
         from matplotlib.colors import Normalize
 
         colors = ScalarMappable(Normalize(self.low * self.factor, self.high * self.factor), self.colormap)
-        figure.colorbar(colors, ax=axes, label=self.label, extend="max", **layout)
+        figure.colorbar(colors, label=self.label, extend="max", **layout)
 
 
 @dataclass(frozen=True)
@@ -95,7 +95,7 @@ def picture_sheet(title: str, titles: Sequence[str], pictures: Sequence[np.ndarr
     for axes, name, picture in zip(grid.flat, titles, pictures, strict=False):
         show_picture(axes, picture, name)
     if scale is not None:
-        scale.draw_bar(figure, list(grid.flat), shrink=0.8, pad=0.02)
+        scale.draw_bar(figure, ax=list(grid.flat), shrink=0.8, pad=0.02)
     figure.suptitle(plain(title), fontsize=13)
     return encode_figure(figure)
 

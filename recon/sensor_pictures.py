@@ -13,8 +13,8 @@ from .events import OnEvent, Warn, ignore
 from .recording import RunFrames
 from .run import RunDirectory
 from .storage import write_bytes
+from .visibility import GROUND_TRUTH_SENSOR
 
-TRUTH = "gt"  # the sensor that holds the true depth, where a data set has one
 _ROWS = 3
 
 
@@ -39,7 +39,7 @@ class SensorScales:
 
 def estimated_sensors(frames: RunFrames) -> list[str]:
     """The sensors of a run without the true depth."""
-    return [sensor for sensor in frames.sensors if sensor != TRUTH]
+    return [sensor for sensor in frames.sensors if sensor != GROUND_TRUTH_SENSOR]
 
 
 def read_sensor_frame(frames: RunFrames, index: int, sensor: str) -> SensorFrame:
@@ -47,8 +47,8 @@ def read_sensor_frame(frames: RunFrames, index: int, sensor: str) -> SensorFrame
     depth = _readings(frames.depth(index, sensor).numpy())
     has_beta = frames.run.beta_path(sensor, index).is_file()
     beta = _readings(frames.beta(index, sensor).numpy()) if has_beta else None
-    has_truth = TRUTH in frames.records[index].sensors and sensor != TRUTH
-    error = np.abs(depth - _readings(frames.depth(index, TRUTH).numpy())) if has_truth else None
+    has_truth = GROUND_TRUTH_SENSOR in frames.records[index].sensors and sensor != GROUND_TRUTH_SENSOR
+    error = np.abs(depth - _readings(frames.depth(index, GROUND_TRUTH_SENSOR).numpy())) if has_truth else None
     return SensorFrame(index, frames.color(index).numpy(), depth, beta, error)
 
 
@@ -97,15 +97,17 @@ def sensor_sheet(sensor: str, rows: list[SensorFrame], scales: SensorScales) -> 
     columns += ["true error"] if any(row.error is not None for row in rows) else []
     height, width = rows[0].depth.shape
     cell = 3.3
-    figure = new_figure(cell * len(columns), (cell * height / width) * len(rows) + 1.4)
-    grid = figure.subplots(len(rows), len(columns), squeeze=False)
-    for line, row in zip(grid, rows, strict=True):
+    figure = new_figure(cell * len(columns), (cell * height / width) * len(rows) + 1.2)
+    ratios = [*[cell * height / width] * len(rows), 0.13]  # the last row holds the colour bars
+    grid = figure.subplots(len(rows) + 1, len(columns), squeeze=False, height_ratios=ratios)
+    for line, row in zip(grid, rows, strict=False):
         for axes, column in zip(line, columns, strict=True):
             show_picture(axes, _panel(row, column, scales), column if row is rows[0] else "")
         line[0].set_ylabel(f"frame {row.index}")
-    for position, column in enumerate(columns[1:], start=1):
+    grid[-1, 0].axis("off")
+    for axes, column in zip(grid[-1, 1:], columns[1:], strict=True):
         scale = scales.depth if column == "depth" else scales.error
-        scale.draw_bar(figure, list(grid[:, position]), location="bottom", shrink=0.9, pad=0.02, aspect=30)
+        scale.draw_bar(figure, cax=axes, orientation="horizontal")
     figure.suptitle(plain(f"Sensor {sensor}"), fontsize=13)
     return encode_figure(figure)
 

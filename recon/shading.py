@@ -15,7 +15,7 @@ SUPERSAMPLING = 2  # pictures are drawn this many times larger and averaged down
 BACKGROUND = 255
 _CREASE = np.cos(np.radians(40.0))  # sharper edges than this stay sharp
 _SIDE_LIGHT = np.array([-0.06, -0.14, 0.0])  # camera axes: from the left and above, so that walls differ
-_DARKEST = 0.12
+_AMBIENT, _DARKEST = 0.36, 0.22
 _SIDE_THICKNESS = 0.12  # share of the bounding box that counts as its wall
 
 
@@ -82,7 +82,7 @@ def light_triangles(geometry: Geometry, view: View) -> LitTriangles:
     faces = np.where(turn[:, None], faces[:, ::-1], faces)
     normals = np.where(turn[:, None, None], -normals[:, ::-1], normals)
     in_camera = normals @ view.T_world_camera[:3, :3].astype(np.float32)
-    light = 0.25 + 0.75 * np.clip(-in_camera[..., 2], 0, 1) + in_camera @ _SIDE_LIGHT.astype(np.float32)
+    light = _AMBIENT + (1 - _AMBIENT) * np.clip(-in_camera[..., 2], 0, 1) + in_camera @ _SIDE_LIGHT.astype(np.float32)
     return LitTriangles(faces, np.clip(light, _DARKEST, 1.0))
 
 

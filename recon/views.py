@@ -12,7 +12,7 @@ from .camera import Camera
 
 DEFAULT_SIZE = (960, 720)
 _FILL = 0.47  # half of the picture that the scene may fill, as a share of its width or height
-_BACK_OFF = 0.15  # share of the median viewing distance by which a run's camera steps back, to show its surroundings
+_BACK_OFF = 0.4  # share of the median viewing distance by which a run's camera steps back, to show its surroundings
 _AXIS_SNAP = np.cos(np.radians(10.0))  # an up direction this close to a world axis is that axis
 
 
@@ -87,7 +87,8 @@ def mesh_views(
     for angle in (40, 160, 280):
         azimuth = np.radians(angle)
         forward = np.cos(azimuth) * ahead + np.sin(azimuth) * aside - 0.65 * up
-        views.append(framed_view(f"around_{angle:03d}", f"around, {angle}°", points, forward, up, size))
+        shown = points if cut != "back" else framing_points(vertices, _front_faces(vertices, faces, forward))
+        views.append(framed_view(f"around_{angle:03d}", f"around, {angle}°", shown, forward, up, size))
     views.append(framed_view("above", "from above", points, -up - 1e-3 * ahead, ahead, size))
     return [replace(view, cut=cut) for view in views]
 
@@ -117,10 +118,12 @@ def run_views(
     forward = poses[:, :3, 2].mean(0)
     forward -= (forward @ up) * up  # seen surfaces face the cameras, so look the way they looked, from further up
     forward = forward / np.linalg.norm(forward) if np.linalg.norm(forward) > 0.05 else horizontal_axes(up)[0]
-    views.append(framed_view("overview", "overview", points, forward - 1.3 * up, up, size))
+    downward = forward - 1.3 * up
     if _is_mixed(front_share(vertices, faces, *_rays_of_cameras(poses, tangent))):
-        views = [replace(view, cut="nothing") for view in views[:-1]] + [replace(views[-1], cut="near_sides")]
-    return views
+        overview = framed_view("overview", "overview", points, downward, up, size)
+        return [*(replace(view, cut="nothing") for view in views), replace(overview, cut="near_sides")]
+    shown = framing_points(vertices, _front_faces(vertices, faces, downward))
+    return [*views, framed_view("overview", "overview", shown, downward, up, size)]
 
 
 def spread_poses(poses: np.ndarray, count: int) -> list[int]:
@@ -204,6 +207,14 @@ def front_share(vertices: np.ndarray, faces: np.ndarray, origins: np.ndarray, di
     if not hit.any():
         return 1.0
     return float((np.einsum("rx,rx->r", answer["primitive_normals"].numpy(), directions)[hit] < 0).mean())
+
+
+def _front_faces(vertices: np.ndarray, faces: np.ndarray, forward: np.ndarray) -> np.ndarray:
+    """(K, 3) the faces whose front a viewer sees that looks along `forward`; all if there are none."""
+    corners = vertices[faces]
+    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    front = normals @ forward < 0
+    return faces[front] if front.any() else faces
 
 
 def _is_mixed(share: float) -> bool:

@@ -1,0 +1,88 @@
+"""Nested JSON figures as table rows for people: units come from the names, as everywhere in the files of a run."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+_RATIOS = {"precision", "recall", "f_score", "completeness", "coverage_50", "coverage_90", "ratio"}
+_UNITS = (  # suffix of a name -> (factor, unit, digits)
+    ("_per_s", 1.0, "1/s", 1),
+    ("_deg", 1.0, "°", 2),
+    ("_mb", 1.0, "MB", 0),
+    ("_bytes", 1e-6, "MB", 0),
+    ("_nats", 1.0, "nats", 3),
+    ("_ratio", 100.0, "%", 1),
+    ("_s", 1.0, "s", 2),
+    ("_m", 100.0, "cm", 2),
+)
+_LONGEST_LIST = 8
+
+
+@dataclass(frozen=True)
+class Row:
+    """One figure: the group it stands in, its name, its value and its unit as text."""
+
+    group: str
+    name: str
+    value: str
+    unit: str
+
+
+def metric_rows(metrics: Any, group: str = "") -> list[Row]:
+    """Every number, word and short list of nested dictionaries, in their order; long lists (curves) are left out."""
+    rows: list[Row] = []
+    items = metrics.items() if isinstance(metrics, dict) else _named(metrics)
+    for key, value in items:
+        name = readable(str(key))
+        if isinstance(value, dict) or (isinstance(value, list) and any(isinstance(item, dict) for item in value)):
+            rows += metric_rows(value, f"{group} / {name}" if group else name)
+        elif value is not None and not (isinstance(value, list) and (len(value) > _LONGEST_LIST or _is_nested(value))):
+            text, unit = with_unit(str(key), value)
+            rows.append(Row(group, name, text, unit))
+    return rows
+
+
+def with_unit(key: str, value: Any) -> tuple[str, str]:
+    """A value as text and its unit, found by the ending of its key: `_m` is shown in cm, ratios in %."""
+    if isinstance(value, list):
+        texts = [with_unit(key, item) for item in value]
+        return ", ".join(text for text, _ in texts), texts[0][1] if texts else ""
+    if isinstance(value, bool):
+        return ("yes" if value else "no"), ""
+    if not isinstance(value, int | float):
+        return str(value), ""
+    if not math.isfinite(value):
+        return "not finite", ""
+    if key in _RATIOS:
+        return f"{value * 100:.1f}", "%"
+    for suffix, factor, unit, digits in _UNITS:
+        if key.endswith(suffix):
+            return f"{value * factor:.{digits}f}", unit
+    return (f"{value:,}".replace(",", " ") if isinstance(value, int) else f"{value:.4g}"), ""
+
+
+def readable(key: str) -> str:
+    """`accuracy_mean_m` -> `accuracy mean`: the unit stands in its own column."""
+    for suffix, *_ in _UNITS:
+        if key.endswith(suffix) and len(key) > len(suffix):
+            key = key[: -len(suffix)]
+            break
+    return key.replace("_", " ")
+
+
+def _named(items: Any) -> list[tuple[str, Any]]:
+    """The elements of a list of records, named by their threshold, else counted from 1."""
+    if not isinstance(items, list):
+        return [("value", items)]
+    names = []
+    for number, item in enumerate(items, start=1):
+        threshold = item.get("threshold_m") if isinstance(item, dict) else None
+        is_number = isinstance(threshold, int | float) and not isinstance(threshold, bool)
+        names.append(f"at {threshold * 100:g} cm" if is_number else str(number))
+    return list(zip(names, items, strict=True))
+
+
+def _is_nested(values: list[Any]) -> bool:
+    return any(isinstance(item, list | dict) for item in values)

@@ -1,0 +1,89 @@
+"""The charts of a report: noise of the sensors, curves of the map stage, and how calibrated the uncertainty is."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from .charts import Line, draw_lines, encode_figure, new_figure
+from .noise_curves import NoiseCurve, SensorNoise
+
+_CM = 100.0
+_LEARNED, _TRUE = "#1f77b4", "#d62728"
+
+
+def noise_chart(sensor: str, noise: SensorNoise) -> bytes:
+    """Mean beta and mean true error against depth and incidence; PNG."""
+    figure = new_figure(11.0, 3.4)
+    left, right = figure.subplots(1, 2, sharey=True)
+    draw_lines(left, _noise_lines(noise.by_depth), "depth [m]", "[cm]", f"{sensor}: noise and depth")
+    if np.isfinite(noise.by_incidence.beta).any():
+        draw_lines(right, _noise_lines(noise.by_incidence), "incidence [°]", "", f"{sensor}: noise and slant")
+    else:
+        right.axis("off")
+    left.set_ylim(bottom=0)
+    return encode_figure(figure)
+
+
+def _noise_lines(curve: NoiseCurve) -> list[Line]:
+    lines = [Line("learned: mean beta", curve.x, curve.beta * _CM, "o-", _LEARNED)]
+    if curve.error is not None:
+        lines.append(Line("true: mean absolute error", curve.x, curve.error * _CM, "o--", _TRUE))
+    return lines
+
+
+def curves_chart(curves: Mapping[str, Any]) -> bytes | None:
+    """One small chart per curve of `curves.json`; what is no curve is left out; None if nothing is one; PNG."""
+    usable = {name: curve for name, curve in curves.items() if _is_curve(curve)}
+    if not usable:
+        return None
+    columns = min(2, len(usable))
+    rows = -(-len(usable) // columns)
+    figure = new_figure(5.5 * columns, 2.9 * rows)
+    grid = figure.subplots(rows, columns, squeeze=False)
+    for axes in grid.flat[len(usable) :]:
+        axes.axis("off")
+    for axes, (name, curve) in zip(grid.flat, usable.items(), strict=False):
+        line = Line(name, _numbers(curve["x"]), _numbers(curve["y"]), "-", _LEARNED)
+        draw_lines(axes, [line], str(curve.get("x_label", "")), str(curve.get("y_label", "")), name.replace("_", " "))
+    return encode_figure(figure)
+
+
+def calibration_chart(sensor: str, curves: Mapping[str, Any]) -> bytes | None:
+    """Coverage, promised against met error, and sparsification of one sensor as `uncle eval` saved them; PNG."""
+    names = ("nominal", "empirical", "bin_beta_m", "bin_error_m", "removed", "error_by_beta", "error_oracle")
+    if not all(isinstance(curves.get(name), list) and curves[name] for name in names):
+        return None
+    values = {name: _numbers(curves[name]) for name in names}
+    figure = new_figure(11.0, 3.3)
+    coverage, error, sparse = figure.subplots(1, 3)
+    _against_diagonal(coverage, values["nominal"] * 100, values["empirical"] * 100)
+    coverage.set(xlabel="promised coverage [%]", ylabel="met coverage [%]", title=f"{sensor}: intervals")
+    _against_diagonal(error, values["bin_beta_m"] * _CM, values["bin_error_m"] * _CM)
+    error.set(xlabel="beta [cm]", ylabel="mean true error [cm]", title=f"{sensor}: size of the error")
+    removed = values["removed"] * 100
+    lines = [
+        Line("least trusted removed", removed, values["error_by_beta"], "-", _LEARNED),
+        Line("worst removed (best possible)", removed, values["error_oracle"], "--", "#888888"),
+    ]
+    draw_lines(sparse, lines, "readings removed [%]", "mean error left, relative", f"{sensor}: sparsification")
+    return encode_figure(figure)
+
+
+def _against_diagonal(axes, x: np.ndarray, y: np.ndarray) -> None:
+    end = float(np.nanmax(np.concatenate([x, y]))) if len(x) else 1.0
+    ideal = np.array([0.0, end])
+    draw_lines(axes, [Line("learned", x, y, "o-", _LEARNED), Line("ideal", ideal, ideal, "--", "#888888")], "", "")
+
+
+def _is_curve(value: Any) -> bool:
+    if not (isinstance(value, dict) and isinstance(value.get("x"), list) and isinstance(value.get("y"), list)):
+        return False
+    numbers = all(isinstance(item, int | float | None) for item in [*value["x"], *value["y"]])
+    return len(value["x"]) == len(value["y"]) > 0 and numbers
+
+
+def _numbers(values: list[float | None]) -> np.ndarray:
+    return np.array([np.nan if value is None else value for value in values], dtype=float)
