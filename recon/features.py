@@ -19,7 +19,9 @@ import numpy as np
 from .camera import Camera
 
 RANGE_SIGMA = 0.01  # 1/m: 1 cm at 1 m, 4 cm at 2 m, 9 cm at 3 m
-WINDOW_STEP = 2  # pixels between the taps of the 5 x 5 window, which so reaches 4 pixels as the published filter does
+# Two passes, over 3 x 3 neighbours and over 5 x 5 neighbours two pixels apart: they reach 5 pixels, smooth normals more
+# than all pairs of a 9 x 9 window do, and take less than half its time.
+PASSES = ((1, 1), (2, 2))  # taps to each side, pixels between taps
 SPATIAL_SIGMA = 3.0  # pixels
 MAX_TANGENT = 15.0  # tan(86 degrees): a steeper step from one pixel to the next is a depth edge, not a surface
 _HOLE = np.float32(1e4)  # inverse depth of a hole: no second difference with it is within the range
@@ -32,31 +34,9 @@ def smooth_depth(depth: np.ndarray, range_sigma: float = RANGE_SIGMA) -> np.ndar
     inverse depth). A plane is thus kept as it is, at image borders and beside holes too, where an ordinary filter
     bends it; and pairs with a hole or a reading from behind an edge have weight 0.
     """
-    reach = 2 * WINDOW_STEP
     inverse = _inverse(depth, hole=_HOLE)
-    padded = cv2.copyMakeBorder(inverse, reach, reach, reach, reach, cv2.BORDER_CONSTANT, value=float(_HOLE))
-    height, width = depth.shape
-    limit = 3.0 * range_sigma  # the support of the biweight kernel, which resembles a Gaussian of a third its width
-    twice = inverse * np.float32(2.0)
-    correction, total = np.zeros_like(inverse), np.ones_like(inverse)
-    bend, weight = np.empty_like(inverse), np.empty_like(inverse)
-    for x, y, spatial in _half_window():
-        ahead = padded[reach + y : reach + y + height, reach + x : reach + x + width]
-        behind = padded[reach - y : reach - y + height, reach - x : reach - x + width]
-        np.add(ahead, behind, out=bend)
-        np.subtract(bend, twice, out=bend)  # twice the distance from the centre to the mean of the pair
-        np.multiply(bend, bend, out=weight)
-        np.multiply(weight, np.float32(-0.25 / limit**2), out=weight)
-        np.add(weight, np.float32(1.0), out=weight)
-        np.maximum(weight, np.float32(0.0), out=weight)
-        np.multiply(weight, weight, out=weight)
-        np.multiply(weight, np.float32(spatial), out=weight)
-        np.multiply(bend, weight, out=bend)
-        np.add(correction, bend, out=correction)
-        np.add(total, weight, out=total)
-        np.add(total, weight, out=total)
-    np.divide(correction, total, out=correction)
-    np.add(inverse, correction, out=inverse)
+    for taps in _WINDOWS:
+        inverse = _smooth_inverse(inverse, taps, 3.0 * range_sigma)
     return np.where(depth > 0, np.float32(1.0) / inverse, np.float32(0.0))
 
 
@@ -121,11 +101,41 @@ def _inverse(depth: np.ndarray, hole: float) -> np.ndarray:
     return inverse
 
 
-def _half_window() -> list[tuple[int, int, float]]:
-    """One tap (x, y, spatial weight) of each opposite pair of the window."""
-    steps = range(-2 * WINDOW_STEP, 2 * WINDOW_STEP + 1, WINDOW_STEP)
+def _half_window(reach: int, step: int) -> list[tuple[int, int, float]]:
+    """One tap (x, y, spatial weight) of each opposite pair of a window."""
+    steps = range(-reach * step, reach * step + 1, step)
     taps = [(x, y) for y in steps for x in steps if (y, x) > (0, 0)]
     return [(x, y, float(np.exp(-(x * x + y * y) / (2 * SPATIAL_SIGMA**2)))) for x, y in taps]
+
+
+_WINDOWS = tuple(_half_window(reach, step) for reach, step in PASSES)
+
+
+def _smooth_inverse(inverse: np.ndarray, taps: list[tuple[int, int, float]], limit: float) -> np.ndarray:
+    """One pass over (H, W) inverse depth. `limit` in 1/m is the support of the biweight range kernel, which resembles
+    a Gaussian of a third of that width and is exactly 0 beyond."""
+    height, width = inverse.shape
+    rim = max(max(abs(x), abs(y)) for x, y, _ in taps)
+    padded = cv2.copyMakeBorder(inverse, rim, rim, rim, rim, cv2.BORDER_CONSTANT, value=float(_HOLE))
+    twice = inverse * np.float32(2.0)
+    correction, total = np.zeros_like(inverse), np.ones_like(inverse)
+    bend, weight = np.empty_like(inverse), np.empty_like(inverse)
+    for x, y, spatial in taps:
+        ahead = padded[rim + y : rim + y + height, rim + x : rim + x + width]
+        behind = padded[rim - y : rim - y + height, rim - x : rim - x + width]
+        np.add(ahead, behind, out=bend)
+        np.subtract(bend, twice, out=bend)  # twice the distance from the centre to the mean of the pair
+        np.multiply(bend, bend, out=weight)
+        np.multiply(weight, np.float32(-0.25 / limit**2), out=weight)
+        np.add(weight, np.float32(1.0), out=weight)
+        np.maximum(weight, np.float32(0.0), out=weight)
+        np.multiply(weight, weight, out=weight)
+        np.multiply(weight, np.float32(spatial), out=weight)
+        np.multiply(bend, weight, out=bend)
+        np.add(correction, bend, out=correction)
+        np.add(total, weight, out=total)
+        np.add(total, weight, out=total)
+    return inverse + correction / total
 
 
 def _difference(inverse: np.ndarray, axis: int, max_slope: float, max_bend: float) -> np.ndarray:

@@ -45,7 +45,7 @@ def test_normals_of_a_plane_are_exact_up_to_the_border(normal):
 
 
 def test_normals_of_a_sphere():
-    depth, truth = sphere(np.array([0.1, -0.05, 2.0]), 0.6)
+    depth, truth = sphere(np.array([0.1, -0.05, 2.0]), 0.9)
     found = features.normals(features.smooth_depth(depth), CAMERA)
     facing = -(truth * rays() / np.linalg.norm(rays(), axis=-1, keepdims=True)).sum(-1) > 0.4
     assert found[facing].any(-1).all()
