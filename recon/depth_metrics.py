@@ -133,11 +133,14 @@ def sample_views(
 
 
 def centre_box(reference: Mesh, lift_m: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Centre (3,), axes (3, 3; columns) and half sides (3,) of the box of camera centres, metres."""
+    """Centre (3,), axes (3, 3; columns) and half sides (3,) of the box of camera centres, metres. Raises DataError."""
     import open3d as o3d
 
     corners = o3d.utility.Vector3dVector(reference.vertices.astype(np.float64))
-    box = o3d.geometry.OrientedBoundingBox.create_from_points(corners, robust=True)
+    try:
+        box = o3d.geometry.OrientedBoundingBox.create_from_points(corners, robust=True)
+    except RuntimeError as error:
+        raise DataError("the reference mesh has no volume; depth from new views needs a room") from error
     order = np.argsort(box.extent)
     return box.center + np.array([0.0, 0.0, lift_m]), box.R[:, order], 0.5 * box.extent[order] * BOX_SHARE
 

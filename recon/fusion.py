@@ -1,8 +1,7 @@
 """Weighted fusion of depth images into signed distances: the closed-form part of the map.
 
-Each sample keeps running sums over all readings that saw it: weights, weighted distance, weighted squared distance and
-weighted colour. Where every weight is 1 this is plain truncated-distance fusion; with the weights 1/beta^2 of the
-learned uncertainty it is the maximum-likelihood mean under that noise.
+Each sample keeps running sums over all readings that saw it. Where every weight is 1 this is plain fusion of truncated
+distances; with the weights 1 / beta^2 of the learned uncertainty it is the maximum-likelihood mean under that noise.
 """
 
 from __future__ import annotations
@@ -14,93 +13,125 @@ from torch.nn.functional import max_pool2d
 from .camera import Camera
 from .grid import BLOCK, ROWS, SparseGrid
 
+_TILE = 16  # pixels: occlusion is decided on tiles
+_BLOCKS_AT_A_TIME = 2048
+_MIN_Z_M = 0.05
+SHARED_ERROR = 0.15
+MIN_SIGMA_M = 1e-3
+
 
 class FusionVolume:
-    """Running sums on a sparse grid. `truncation_m` bounds the distances."""
+    """Running sums on a sparse grid.
 
-    def __init__(self, grid: SparseGrid, truncation_m: float) -> None:
-        self.grid = grid
-        self.truncation_m = float(truncation_m)
-        self.sums = torch.zeros(0, 3, device=grid.device)  # (R, 3): weight, weight * sdf, weight * sdf^2
-        self.color_sums = torch.zeros(0, 4, device=grid.device)  # (R, 4): weight, weight * rgb
+    sums (R, 4): weight, weight * sdf, weight * sdf^2, number of readings; color_sums (R, 4): weight, weight * rgb.
+    `truncation_m` bounds the distances, `max_depth_m` the readings that take part.
+    """
 
-    def allocate(self, depth: Tensor, camera: Camera, T_world_camera: Tensor, max_depth_m: float) -> None:
-        """Make blocks for the band of +- truncation around each reading of `depth` (H, W) metres."""
-        stride = max(1, int(0.5 * self.grid.block_size_m * camera.fx / max_depth_m))
-        rays = camera.rays(self.grid.device)[::stride, ::stride]
+    def __init__(self, grid: SparseGrid, camera: Camera, truncation_m: float, max_depth_m: float) -> None:
+        self.grid, self.camera = grid, camera
+        self.truncation_m, self.max_depth_m = float(truncation_m), float(max_depth_m)
+        self.sums = torch.zeros(0, 4, device=grid.device)
+        self.color_sums = torch.zeros(0, 4, device=grid.device)
+        self._rays = camera.rays(grid.device)
+
+    def allocate(self, depth: Tensor, T_world_camera: Tensor) -> None:
+        """Make blocks along the band of +- truncation around each reading of `depth` (H, W) metres."""
+        stride = max(1, int(0.5 * self.grid.block_size_m * self.camera.fx / self.max_depth_m))
         z = depth[::stride, ::stride]
-        valid = (z > 0) & (z < max_depth_m)
-        directions, z = rays[valid], z[valid]
-        if len(z) == 0:
-            return
-        rotation, origin = T_world_camera[:3, :3], T_world_camera[:3, 3]
-        found = []
-        for offset in torch.linspace(-1, 1, 5).tolist():
-            points = (directions * (z + offset * self.truncation_m)[:, None]) @ rotation.T + origin
-            found.append(torch.floor(points / self.grid.block_size_m).long())
-        self.grid.allocate(torch.cat(found))
+        valid = (z > 0) & (z < self.max_depth_m)
+        directions, z = self._rays[::stride, ::stride][valid], z[valid]
+        offsets = torch.linspace(-1, 1, 5, device=z.device) * self.truncation_m
+        points = directions[:, None] * (z[:, None] + offsets)[..., None]
+        points = points.view(-1, 3) @ T_world_camera[:3, :3].T + T_world_camera[:3, 3]
+        self.grid.allocate(torch.floor(points / self.grid.block_size_m).long())
+        self._grow()
 
-    def grow(self) -> None:
-        """Give every block of the grid its rows of zeros."""
+    def reset(self) -> None:
+        """Forget all readings, keep the blocks."""
+        self.sums.zero_()
+        self.color_sums.zero_()
+        self._grow()
+
+    def integrate(self, depth: Tensor, weight: Tensor | None, color: Tensor | None, T_world_camera: Tensor) -> None:
+        """Add one depth image: depth (H, W) metres, weight (H, W) or None = 1, color (H, W, 3) uint8 or None.
+
+        Every allocated block in view takes part, so that a reading also speaks for the free space before it.
+        """
+        T_camera_world = torch.linalg.inv(T_world_camera.double()).float()
+        for ids in self._visible(depth, T_camera_world).split(_BLOCKS_AT_A_TIME):
+            rows, pixels, sdf = self._readings(ids, depth, T_camera_world)
+            w = torch.ones_like(sdf) if weight is None else weight.view(-1)[pixels]
+            self.sums[rows] += torch.stack([w, w * sdf, w * sdf * sdf, torch.ones_like(sdf)], -1)
+            if color is not None:
+                near = sdf.abs() < 0.5 * self.truncation_m
+                rows, w, rgb = rows[near], w[near, None], color.view(-1, 3)[pixels[near]].float()
+                self.color_sums[rows] += torch.cat([w, w * rgb], -1)
+
+    def sdf(self) -> Tensor:
+        """(R,) mean signed distance in metres, 0 where there is no reading."""
+        return self.sums[:, 1] / self.sums[:, 0].clamp(min=1e-12)
+
+    def spread(self) -> Tensor:
+        """(R,) standard deviation of the readings of each sample, metres."""
+        weight = self.sums[:, 0].clamp(min=1e-12)
+        return (self.sums[:, 2] / weight - (self.sums[:, 1] / weight) ** 2).clamp(min=0).sqrt()
+
+    def sigma(self) -> Tensor:
+        """(R,) standard error of the mean distance, metres.
+
+        Readings of one place share part of their error (same sensor, same texture), so their number helps only up to a
+        point: the variance falls to `SHARED_ERROR` of one reading's, never below. Never better than `MIN_SIGMA_M`.
+        """
+        gain = SHARED_ERROR + (1 - SHARED_ERROR) / self.counts().clamp(min=1)
+        return (self.spread().square() * gain).sqrt().clamp(min=MIN_SIGMA_M)
+
+    def counts(self) -> Tensor:
+        """(R,) number of readings of each sample."""
+        return self.sums[:, 3]
+
+    def colors(self) -> Tensor:
+        """(R, 3) mean colour, 0..1; grey where none was seen."""
+        weight = self.color_sums[:, :1]
+        return torch.where(weight > 0, self.color_sums[:, 1:] / weight.clamp(min=1e-12) / 255, 0.5)
+
+    def _grow(self) -> None:
         missing = self.grid.rows - len(self.sums)
         if missing > 0:
-            self.sums = torch.cat([self.sums, self.sums.new_zeros(missing, 3)])
+            self.sums = torch.cat([self.sums, self.sums.new_zeros(missing, 4)])
             self.color_sums = torch.cat([self.color_sums, self.color_sums.new_zeros(missing, 4)])
 
-    def integrate(self, depth, weight, color, camera: Camera, T_world_camera: Tensor, max_depth_m: float) -> None:
-        """Add one depth image: depth (H, W) metres, weight (H, W) or None = 1, color (H, W, 3) uint8 or None."""
-        T_camera_world = torch.linalg.inv(T_world_camera.double()).float()
-        ids = self._visible(depth, camera, T_camera_world, max_depth_m)
-        for chunk in ids.split(2048):
-            self._integrate_blocks(chunk, depth, weight, color, camera, T_camera_world, max_depth_m)
-
-    def _visible(self, depth, camera, T_camera_world, max_depth_m):
-        """Ids of blocks that are in the image and not wholly behind what it shows."""
+    def _visible(self, depth: Tensor, T_camera_world: Tensor) -> Tensor:
+        """Ids of the blocks that are in view and not wholly behind what the image shows."""
         half = 0.5 * (BLOCK - 1) * self.grid.voxel_size_m
-        centres = self.grid.blocks.float() * self.grid.block_size_m + half
-        points = centres @ T_camera_world[:3, :3].T + T_camera_world[:3, 3]
         radius = half * 3**0.5
-        u, v, z = camera.project(points)
-        reach = radius * max(camera.fx, camera.fy) / z.clamp(min=0.05)
-        inside = (u > -reach) & (u < camera.width + reach) & (v > -reach) & (v < camera.height + reach)
-        inside &= (z > -radius) & (z < max_depth_m + radius)
-        tile = 16
-        usable = torch.where(depth < max_depth_m, depth, 0)
-        far = max_pool2d(usable[None, None], tile, tile, ceil_mode=True)
-        far = max_pool2d(far, 5, 1, 2)[0, 0]  # farthest reading within about two tiles
-        tu = (u / tile).long().clamp(0, far.shape[1] - 1)
-        tv = (v / tile).long().clamp(0, far.shape[0] - 1)
-        close = z < 1.0  # such a block may cover more than the tiles looked at
-        inside &= close | (z - radius < far[tv, tu] + self.truncation_m)
-        return inside.nonzero()[:, 0]
+        centres = self.grid.blocks.float() * self.grid.block_size_m + half
+        u, v, z = self.camera.project(centres @ T_camera_world[:3, :3].T + T_camera_world[:3, 3])
+        reach = radius * max(self.camera.fx, self.camera.fy) / z.clamp(min=_MIN_Z_M)
+        seen = (u > -reach) & (u < self.camera.width + reach) & (v > -reach) & (v < self.camera.height + reach)
+        seen &= (z > -radius) & (z < self.max_depth_m + self.truncation_m + radius)
+        usable = torch.where(depth < self.max_depth_m, depth, 0.0)[None, None]
+        farthest = max_pool2d(usable, _TILE, _TILE, ceil_mode=True)
+        farthest = max_pool2d(farthest, 5, 1, 2)[0, 0]
+        tile_u = (u / _TILE).long().clamp(0, farthest.shape[1] - 1)
+        tile_v = (v / _TILE).long().clamp(0, farthest.shape[0] - 1)
+        seen &= (reach > 2 * _TILE) | (z - radius < farthest[tile_v, tile_u] + self.truncation_m)
+        return seen.nonzero()[:, 0]
 
-    def _integrate_blocks(self, ids, depth, weight, color, camera, T_camera_world, max_depth_m):
-        rotation, shift = T_camera_world[:3, :3], T_camera_world[:3, 3]
-        steps = torch.arange(BLOCK, device=self.grid.device) * self.grid.voxel_size_m
-        inner = torch.stack(torch.meshgrid(steps, steps, steps, indexing="ij"), -1).view(ROWS, 3) @ rotation.T
-        outer = (self.grid.blocks[ids].float() * self.grid.block_size_m) @ rotation.T + shift
-        z = outer[:, 2:3] + inner[:, 2]
+    def _readings(self, ids: Tensor, depth: Tensor, T_camera_world: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        """For the samples of blocks `ids` that get a reading: their rows, the pixel of it, and the truncated sdf."""
+        camera, rotation = self.camera, T_camera_world[:3, :3]
+        corner = (self.grid.blocks[ids].float() * self.grid.block_size_m) @ rotation.T + T_camera_world[:3, 3]
+        inner = self.grid.inner_offsets() @ rotation.T
+        x, y, z = (corner[:, axis, None] + inner[:, axis] for axis in range(3))
         inverse = 1 / z.clamp(min=1e-3)
-        u = ((outer[:, 0:1] + inner[:, 0]) * inverse * camera.fx + (camera.cx + 0.5)).floor_()
-        v = ((outer[:, 1:2] + inner[:, 1]) * inverse * camera.fy + (camera.cy + 0.5)).floor_()
-        seen = (u >= 0) & (u < camera.width) & (v >= 0) & (v < camera.height) & (z > 0.05)
-        picked = seen.view(-1).nonzero()[:, 0]
-        z = z.view(-1)[picked]
-        pixel = (v.view(-1)[picked] * camera.width + u.view(-1)[picked]).long()
-        reading = depth.view(-1)[pixel]
-        sdf = reading - z
-        keep = (reading > 0) & (reading < max_depth_m) & (sdf > -self.truncation_m)
-        picked, pixel, sdf = picked[keep], pixel[keep], sdf[keep].clamp(max=self.truncation_m)
-        rows = ids[picked // ROWS] * ROWS + picked % ROWS
-        w = torch.ones_like(sdf) if weight is None else weight.view(-1)[pixel]
-        ws = w * sdf
-        self.sums[rows] += torch.stack([w, ws, ws * sdf], -1)
-        if color is not None:
-            near = sdf.abs() < self.truncation_m * 0.999
-            w, rows, pixel = w[near], rows[near], pixel[near]
-            self.color_sums[rows] += torch.cat([w[:, None], w[:, None] * color.view(-1, 3)[pixel].float()], -1)
-
-    def sdf(self) -> tuple[Tensor, Tensor]:
-        """(R,) signed distances in metres (0 where unseen) and (R,) weights."""
-        weight = self.sums[:, 0]
-        return self.sums[:, 1] / weight.clamp(min=1e-12), weight
+        u = (x * inverse * camera.fx + (camera.cx + 0.5)).floor_()
+        v = (y * inverse * camera.fy + (camera.cy + 0.5)).floor_()
+        inside = (u >= 0) & (u < camera.width) & (v >= 0) & (v < camera.height) & (z > _MIN_Z_M)
+        samples = inside.view(-1).nonzero()[:, 0]
+        pixels = (v.view(-1)[samples] * camera.width + u.view(-1)[samples]).long()
+        reading = depth.reshape(-1)[pixels]
+        sdf = reading - z.view(-1)[samples]
+        kept = (reading > 0) & (reading < self.max_depth_m) & (sdf > -self.truncation_m)
+        samples, pixels = samples[kept], pixels[kept]
+        rows = ids[samples // ROWS] * ROWS + samples % ROWS
+        return rows, pixels, sdf[kept].clamp(max=self.truncation_m)

@@ -47,6 +47,16 @@ class SparseGrid:
             self.blocks = torch.cat([self.blocks, new])
         return len(new)
 
+    def restore(self, blocks: Tensor) -> None:
+        """Become the grid with exactly these blocks (B, 3), in this order."""
+        self.blocks = torch.empty(0, 3, dtype=torch.int64, device=self.device)
+        self._origin, self._volume = torch.zeros_like(self._origin), self._volume.new_full((1, 1, 1), -1)
+        if len(blocks):
+            self._cover(blocks)
+            x, y, z = (blocks - self._origin).unbind(-1)
+            self._volume[x, y, z] = torch.arange(len(blocks), dtype=torch.int32, device=self.device)
+        self.blocks = blocks
+
     def block_ids(self, blocks: Tensor) -> Tensor:
         """(..., 3) int64 block coordinates -> (...) int64 ids, -1 where there is no block."""
         shape = torch.tensor(self._volume.shape, device=self.device)
@@ -77,11 +87,14 @@ class SparseGrid:
         weights = torch.where(corners.bool(), part[:, None, :], 1 - part[:, None, :]).prod(-1)
         return rows, weights
 
+    def inner_offsets(self) -> Tensor:
+        """(512, 3) offsets of a block's samples from its first one, in row order, metres."""
+        steps = torch.arange(BLOCK, device=self.device) * self.voxel_size_m
+        return torch.stack(torch.meshgrid(steps, steps, steps, indexing="ij"), -1).view(ROWS, 3)
+
     def block_positions(self, ids: Tensor) -> Tensor:
         """(M,) ids -> (M, 512, 3) world positions of the samples in row order, metres."""
-        steps = torch.arange(BLOCK, device=self.device)
-        inner = torch.stack(torch.meshgrid(steps, steps, steps, indexing="ij"), -1).view(1, ROWS, 3)
-        return (self.blocks[ids][:, None, :] * BLOCK + inner) * self.voxel_size_m
+        return self.blocks[ids][:, None, :] * self.block_size_m + self.inner_offsets()
 
     def _cover(self, blocks: Tensor) -> None:
         """Grow the lookup volume until it holds `blocks`."""

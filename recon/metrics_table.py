@@ -10,6 +10,7 @@ _RATIOS = {"precision", "recall", "f_score", "completeness", "coverage_50", "cov
 _UNITS = (  # suffix of a name -> (factor, unit, digits)
     ("_per_s", 1.0, "1/s", 1),
     ("_deg", 1.0, "°", 2),
+    ("_rad", math.degrees(1.0), "°", 2),
     ("_mb", 1.0, "MB", 0),
     ("_bytes", 1e-6, "MB", 0),
     ("_nats", 1.0, "nats", 3),
@@ -30,18 +31,23 @@ class Row:
     unit: str
 
 
-def metric_rows(metrics: Any, group: str = "") -> list[Row]:
-    """Every number, word and short list of nested dictionaries, in their order; long lists (curves) are left out."""
+def metric_rows(metrics: Any, group: str = "", unit_key: str = "") -> list[Row]:
+    """Every number, word and short list of nested dictionaries, those of a group before its subgroups.
+
+    Long lists (curves) are left out. A figure whose name has no unit takes that of `unit_key`, the name of its group:
+    `{"ate_m": {"rmse": 0.01}}` is in metres.
+    """
     rows: list[Row] = []
+    groups: list[Row] = []
     items = metrics.items() if isinstance(metrics, dict) else _named(metrics)
     for key, value in items:
         name = readable(str(key))
         if isinstance(value, dict) or (isinstance(value, list) and any(isinstance(item, dict) for item in value)):
-            rows += metric_rows(value, f"{group} / {name}" if group else name)
-        elif value is not None and not (isinstance(value, list) and (len(value) > _LONGEST_LIST or _is_nested(value))):
-            text, unit = with_unit(str(key), value)
+            groups += metric_rows(value, f"{group} / {name}" if group else name, str(key))
+        elif value is not None and not (isinstance(value, list) and _is_left_out(value)):
+            text, unit = with_unit(str(key) if _unit_of(str(key)) else f"{key}{_unit_of(unit_key)}", value)
             rows.append(Row(group, name, text, unit))
-    return rows
+    return rows + groups
 
 
 def with_unit(key: str, value: Any) -> tuple[str, str]:
@@ -60,16 +66,24 @@ def with_unit(key: str, value: Any) -> tuple[str, str]:
     for suffix, factor, unit, digits in _UNITS:
         if key.endswith(suffix):
             return f"{value * factor:.{digits}f}", unit
-    return (f"{value:,}".replace(",", " ") if isinstance(value, int) else f"{value:.4g}"), ""
+    return (grouped(value) if isinstance(value, int) else f"{value:.4g}"), ""
+
+
+def grouped(number: int) -> str:
+    """1234567 -> "1 234 567"."""
+    return f"{number:,}".replace(",", " ")
 
 
 def readable(key: str) -> str:
     """`accuracy_mean_m` -> `accuracy mean`: the unit stands in its own column."""
-    for suffix, *_ in _UNITS:
-        if key.endswith(suffix) and len(key) > len(suffix):
-            key = key[: -len(suffix)]
-            break
-    return key.replace("_", " ")
+    if key in _RATIOS:
+        return key.replace("f_score", "F-score").replace("_", " ")
+    return key.removesuffix(_unit_of(key)).replace("_", " ")
+
+
+def _unit_of(key: str) -> str:
+    """The suffix of a name that tells a unit, else nothing."""
+    return next((suffix for suffix, *_ in _UNITS if key.endswith(suffix)), "")
 
 
 def _named(items: Any) -> list[tuple[str, Any]]:
@@ -84,5 +98,5 @@ def _named(items: Any) -> list[tuple[str, Any]]:
     return list(zip(names, items, strict=True))
 
 
-def _is_nested(values: list[Any]) -> bool:
-    return any(isinstance(item, list | dict) for item in values)
+def _is_left_out(values: list[Any]) -> bool:
+    return not 0 < len(values) <= _LONGEST_LIST or any(isinstance(item, list) for item in values)

@@ -9,7 +9,7 @@ from typing import Any
 
 from .errors import DependencyError, UncleError
 from .events import OnEvent, Progress, Warn, ignore
-from .metrics_table import metric_rows
+from .metrics_table import grouped, metric_rows
 from .noise_curves import sensor_noise
 from .recording import RunFrames
 from .report_charts import calibration_chart, curves_chart, noise_chart
@@ -90,7 +90,7 @@ def _mesh(run: RunDirectory, renderer: str, on_event: OnEvent) -> str:
         return missing(f"There is no mesh yet; make it with `uncle mesh --run {run.root}`.")
     mesh, reference = load_run_mesh(run), load_reference(run)
     snapshots = draw_mesh(mesh, snapshot_views(mesh, run), None, reference, renderer, on_event)
-    counts = f"{len(mesh.vertices):,} vertices, {len(mesh.faces):,} triangles.".replace(",", " ")
+    counts = f"{grouped(len(mesh.vertices))} vertices, {grouped(len(mesh.faces))} triangles."
     pictures = [
         embed_picture(shot.save(run.snapshots_path).read_bytes(), _CAPTIONS[shot.mode], photographic=True)
         for shot in snapshots

@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from .charts import Line, draw_lines, encode_figure, new_figure
 from .noise_curves import NoiseCurve, SensorNoise
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
 
 _CM = 100.0
 _LEARNED, _TRUE = "#1f77b4", "#d62728"
@@ -54,15 +57,14 @@ def curves_chart(curves: Mapping[str, Any]) -> bytes | None:
 def calibration_chart(sensor: str, curves: Mapping[str, Any]) -> bytes | None:
     """Coverage, promised against met error, and sparsification of one sensor as `uncle eval` saved them; PNG."""
     names = ("nominal", "empirical", "bin_beta_m", "bin_error_m", "removed", "error_by_beta", "error_oracle")
-    if not all(isinstance(curves.get(name), list) and curves[name] for name in names):
+    if not all(_is_numeric(curves.get(name)) for name in names):
         return None
     values = {name: _numbers(curves[name]) for name in names}
     figure = new_figure(11.0, 3.3)
     coverage, error, sparse = figure.subplots(1, 3)
-    _against_diagonal(coverage, values["nominal"] * 100, values["empirical"] * 100)
-    coverage.set(xlabel="promised coverage [%]", ylabel="met coverage [%]", title=f"{sensor}: intervals")
-    _against_diagonal(error, values["bin_beta_m"] * _CM, values["bin_error_m"] * _CM)
-    error.set(xlabel="beta [cm]", ylabel="mean true error [cm]", title=f"{sensor}: size of the error")
+    percent, lengths = ("promised coverage [%]", "met coverage [%]"), ("beta [cm]", "mean true error [cm]")
+    _against_diagonal(coverage, values["nominal"] * 100, values["empirical"] * 100, *percent, f"{sensor}: intervals")
+    _against_diagonal(error, values["bin_beta_m"] * _CM, values["bin_error_m"] * _CM, *lengths, f"{sensor}: size")
     removed = values["removed"] * 100
     lines = [
         Line("least trusted removed", removed, values["error_by_beta"], "-", _LEARNED),
@@ -72,17 +74,24 @@ def calibration_chart(sensor: str, curves: Mapping[str, Any]) -> bytes | None:
     return encode_figure(figure)
 
 
-def _against_diagonal(axes, x: np.ndarray, y: np.ndarray) -> None:
-    end = float(np.nanmax(np.concatenate([x, y]))) if len(x) else 1.0
+def _against_diagonal(axes: Axes, x: np.ndarray, y: np.ndarray, x_label: str, y_label: str, title: str) -> None:
+    end = float(np.nanmax(np.concatenate([x, y, [0.0]])))
     ideal = np.array([0.0, end])
-    draw_lines(axes, [Line("learned", x, y, "o-", _LEARNED), Line("ideal", ideal, ideal, "--", "#888888")], "", "")
+    lines = [Line("learned", x, y, "o-", _LEARNED), Line("ideal", ideal, ideal, "--", "#888888")]
+    draw_lines(axes, lines, x_label, y_label, title)
 
 
 def _is_curve(value: Any) -> bool:
     if not (isinstance(value, dict) and isinstance(value.get("x"), list) and isinstance(value.get("y"), list)):
         return False
-    numbers = all(isinstance(item, int | float | None) for item in [*value["x"], *value["y"]])
-    return len(value["x"]) == len(value["y"]) > 0 and numbers
+    return len(value["x"]) == len(value["y"]) and _is_numeric(value["x"]) and _is_numeric(value["y"])
+
+
+def _is_numeric(values: Any) -> bool:
+    """A list of numbers, some of which may be unknown, but not all."""
+    if not isinstance(values, list) or not all(isinstance(item, int | float | None) for item in values):
+        return False
+    return any(item is not None for item in values)
 
 
 def _numbers(values: list[float | None]) -> np.ndarray:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 
@@ -18,7 +19,8 @@ GROUND_TRUTH_SENSOR = "gt"
 MIN_DEPTH_M = 0.1  # nearer than any depth sensor measures
 BEHIND_M = 0.2  # how far behind a reading a point still counts as visible
 FEW_FRAMES = 60  # fewer are all asked; of more, every second at most: neighbours see the same
-REFERENCE_STRIDE = 4  # pixels between the readings that stand for the seen reference
+MAX_STRIDE = 4  # pixels between the readings that stand for the seen reference; fewer where there are few
+REFERENCE_READINGS = 1_000_000
 REFERENCE_VOXEL_M = 0.015
 MAX_FRAMES = 250  # evenly spread; more change the outcome by less than the sampling does
 
@@ -73,10 +75,13 @@ class Visibility:
         of the run and kept in the pixels where a sensor has a reading.
         """
         surface = None if self.has_true_depth else Surface(reference)
-        rays = self.frames.camera.rays().numpy()[::REFERENCE_STRIDE, ::REFERENCE_STRIDE]
+        camera = self.frames.camera
+        readings = len(self.indices) * camera.width * camera.height
+        stride = min(MAX_STRIDE, math.ceil(math.sqrt(readings / REFERENCE_READINGS)))
+        rays = camera.rays().numpy()[::stride, ::stride]
         points = [np.zeros((0, 3))]
         for T_world_camera, depths in self._views():
-            depth = np.max(depths, axis=0)[::REFERENCE_STRIDE, ::REFERENCE_STRIDE]
+            depth = np.max(depths, axis=0)[::stride, ::stride]
             if surface is not None:
                 rendered = surface.cast(T_world_camera[:3, 3], rays @ T_world_camera[:3, :3].T)
                 depth = np.where(depth > 0, rendered, 0.0)

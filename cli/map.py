@@ -1,0 +1,53 @@
+"""`uncle map`: reconstruct the scene and learn how far each sensor can be trusted."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from .console import listener
+from .options import SensorsCommand, device_option, overwrite_option, run_option, seed_option, sensors_option
+
+
+@click.command("map", cls=SensorsCommand)
+@run_option
+@sensors_option("Sensors to use. Default: all but the ground truth.")
+@click.option("--method", type=click.Choice(["uncle", "tsdf"]), default="uncle", show_default=True,
+              help="uncle: neural field with learned uncertainty; tsdf: plain Open3D fusion.")  # fmt: skip
+@click.option("--voxel", type=click.FloatRange(0.001, 0.5), default=None, metavar="METRES",
+              help="Voxel size; short for --set fusion.voxel_size_m=METRES.")  # fmt: skip
+@click.option("--hold-out", type=click.IntRange(2), default=None, metavar="N",
+              help="Keep every N-th frame out of the map; `uncle eval` scores it.")  # fmt: skip
+@click.option("--set", "overrides", multiple=True, metavar="KEY=VALUE", help="Change a setting (docs/config.md).")
+@seed_option
+@device_option
+@click.option("--resume", is_flag=True, help="Continue an interrupted map; ends in the same result.")
+@overwrite_option
+@click.pass_context
+def command(
+    ctx: click.Context, run_path: Path, sensors: tuple[str, ...], method: str, voxel: float | None,
+    hold_out: int | None, overrides: tuple[str, ...], seed: int, device: str, resume: bool, overwrite: bool,
+) -> None:  # fmt: skip
+    """Reconstruct the scene and learn how far each sensor can be trusted.
+
+    \b
+    uncle map --sensors sl psmnet
+    uncle map --method tsdf --set fusion.voxel_size_m=0.01
+    """
+    from ..recon.config import make_config
+    from ..recon.map_stage import map_run
+    from ..recon.run import RunDirectory
+
+    settings = list(overrides) + ([f"fusion.voxel_size_m={voxel}"] if voxel is not None else [])
+    config = make_config(method, settings, sensors=sensors, seed=seed, device=device, hold_out=hold_out or 0)
+    run = RunDirectory(run_path)
+    summary = map_run(run, config, resume=resume, overwrite=overwrite, on_event=listener(ctx))
+    if summary.unchanged:
+        click.echo(f"The map of {run_path} is done and unchanged; --overwrite redoes it.", err=True)
+        return
+    rate = summary.frames / max(summary.seconds, 1e-9)
+    click.echo(
+        f"Mapped {summary.frames} frames in {summary.seconds:.1f} s ({rate:.1f} frames/s, "
+        f"{summary.peak_memory_mb:.0f} MB at most). Next: uncle mesh --run {run_path}", err=True,
+    )  # fmt: skip

@@ -1,0 +1,42 @@
+"""`uncle mesh`: extract the surface of a finished map."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from .console import listener
+from .options import overwrite_option, run_option
+
+
+@click.command("mesh")
+@run_option
+@click.option("--voxel", type=click.FloatRange(0.001, 0.5), default=None, metavar="METRES",
+              help="Cell size of the mesh. Default: that of the map.")  # fmt: skip
+@click.option("--clean/--no-clean", default=None,
+              help="Keep only what the cameras saw, without floaters. Default: on, but off for the plain tsdf baseline.")  # fmt: skip
+@click.option("--min-confidence", type=click.FloatRange(min=0.0, min_open=True), default=None, metavar="METRES",
+              help="Leave out vertices whose 1-sigma error is larger than this.")  # fmt: skip
+@click.option("--out", type=click.Path(path_type=Path, dir_okay=False), default=None, help="Default: RUN/mesh.ply.")
+@overwrite_option
+@click.pass_context
+def command(
+    ctx: click.Context, run_path: Path, voxel: float | None, clean: bool | None, min_confidence: float | None,
+    out: Path | None, overwrite: bool,
+) -> None:  # fmt: skip
+    """Extract the surface of a finished map as PLY: colour, and confidence (1 sigma, metres) per vertex."""
+    from ..recon.mesh_stage import mesh_run
+    from ..recon.run import RunDirectory
+
+    summary = mesh_run(
+        RunDirectory(run_path), voxel_size_m=voxel, clean=clean, max_sigma_m=min_confidence, out=out,
+        overwrite=overwrite, on_event=listener(ctx),
+    )  # fmt: skip
+    if summary.unchanged:
+        click.echo(f"{summary.path} is done and unchanged; --overwrite redoes it.", err=True)
+        return
+    click.echo(
+        f"Wrote {summary.path}: {summary.vertices} vertices, {summary.faces} triangles. "
+        f"Next: uncle eval --run {run_path}", err=True,
+    )  # fmt: skip

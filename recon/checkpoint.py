@@ -1,0 +1,59 @@
+"""State of an unfinished map on disk, so that a broken run can go on."""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+from typing import Any
+
+import torch
+
+from .errors import RunError
+from .storage import atomic_path
+
+
+def save_tensors(path: Path, state: dict[str, Any]) -> None:
+    """`torch.save` of plain tensors and containers, in one piece. Raises RunError."""
+    with atomic_path(path) as temporary:
+        try:
+            torch.save(state, temporary)
+        except RuntimeError as error:  # torch hides a full disk behind a RuntimeError of its archive writer
+            raise OSError(28, "the disk is full") if "write" in str(error).lower() else error from error
+
+
+def load_tensors(path: Path, device: torch.device | str = "cpu") -> dict[str, Any]:
+    """Read what `save_tensors` wrote; never runs code from the file. Raises RunError."""
+    try:
+        return torch.load(path, map_location=device, weights_only=True)
+    except FileNotFoundError as error:
+        raise RunError(f"there is no {path}; run `uncle map` first") from error
+    except Exception as error:
+        raise RunError(f"cannot read {path} ({error}); redo it with `uncle map --overwrite`") from error
+
+
+class Checkpoint:
+    """Saves a state at most every `interval_s` seconds; refuses to continue one of other settings."""
+
+    def __init__(self, path: Path, config_hash: str, interval_s: float = 15.0) -> None:
+        self.path, self.config_hash, self.interval_s = path, config_hash, interval_s
+        self._last = time.monotonic()
+
+    def due(self) -> bool:
+        """Whether enough time went by since the last save."""
+        return time.monotonic() - self._last >= self.interval_s
+
+    def save(self, state: dict[str, Any]) -> None:
+        """Raises RunError."""
+        save_tensors(self.path, {"config_hash": self.config_hash, **state})
+        self._last = time.monotonic()
+
+    def load(self) -> dict[str, Any] | None:
+        """The saved state, or None if there is none for these settings."""
+        if not self.path.exists():
+            return None
+        state = load_tensors(self.path)
+        return state if state["config_hash"] == self.config_hash else None
+
+    def remove(self) -> None:
+        """Forget the state."""
+        self.path.unlink(missing_ok=True)

@@ -1,0 +1,158 @@
+"""The neural field: signed distance and colour from learned features on a sparse, multi-resolution grid.
+
+The finest level holds a distance and a colour at each sample near the surface, warm-started by fusion; coarser levels
+hold feature vectors that a small decoder turns into a smooth correction of both. With the decoder's last layer at zero
+the field starts as the fused map, and every part of it is then moved by the rendering likelihood.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import torch
+from torch import Tensor, nn
+from torch.nn.functional import embedding_bag
+
+from .config import FieldConfig
+from .fusion import FusionVolume
+from .grid import ROWS, SparseGrid, unique_blocks
+
+ACTIVE_VOXELS = 3.0  # samples this close to the surface can be moved
+
+
+class FeatureLevel(nn.Module):
+    """Feature vectors (R, C) on a coarser sparse grid, trilinearly interpolated."""
+
+    def __init__(self, grid: SparseGrid, channels: int, generator: torch.Generator) -> None:
+        super().__init__()
+        self.grid = grid
+        start = torch.empty(grid.rows, channels).normal_(std=0.01, generator=generator)
+        self.features = nn.Parameter(start.to(grid.device))
+
+    def forward(self, points: Tensor) -> Tensor:
+        """(N, 3) -> (N, C)."""
+        rows, weights = self.grid.trilinear(points)
+        weights = weights * (rows >= 0)
+        return embedding_bag(rows.clamp(min=0), self.features, mode="sum", per_sample_weights=weights)
+
+
+class NeuralField(nn.Module):
+    """sdf(x) in metres and colour(x) in 0..1.
+
+    base (R, 4) holds the fused sdf and rgb of every sample, sigma (R,) how uncertain that sdf is (1 sigma, metres), known
+    (R,) whether enough readings saw it; `fine` (A, 4) are learned offsets of the A active samples.
+    """
+
+    def __init__(
+        self,
+        grid: SparseGrid,
+        base: Tensor,
+        sigma: Tensor,
+        known: Tensor,
+        config: FieldConfig,
+        generator: torch.Generator,
+    ) -> None:
+        super().__init__()
+        self.grid, self.base, self.sigma, self.known, self.config = grid, base, sigma, known, config
+        active = (known & (base[:, 0].abs() < ACTIVE_VOXELS * grid.voxel_size_m)).nonzero()[:, 0]
+        self.slot = torch.zeros(grid.rows, dtype=torch.int64, device=grid.device)
+        self.slot[active] = torch.arange(1, len(active) + 1, device=grid.device)
+        self.fine = nn.Parameter(torch.zeros(len(active) + 1, 4, device=grid.device))  # slot 0 stays zero
+        self.levels = nn.ModuleList(
+            FeatureLevel(_coarser(grid, factor, active), config.channels, generator) for factor in config.levels
+        )
+        self.decoder = _decoder(config.channels * max(1, len(config.levels)), config.hidden, generator).to(grid.device)
+
+    @classmethod
+    def from_fusion(
+        cls, volume: FusionVolume, min_readings: float, config: FieldConfig, generator: torch.Generator
+    ) -> NeuralField:
+        """The field that equals the fused map; samples with fewer than `min_readings` are unknown to it."""
+        base = torch.cat([volume.sdf()[:, None], volume.colors()], 1)
+        return cls(volume.grid, base, volume.sigma(), volume.counts() >= min_readings, config, generator)
+
+    def forward(self, points: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        """(N, 3) world points -> sdf (N,) metres, rgb (N, 3), known (N,) bool; sdf and rgb are 0 where unknown."""
+        rows, weights = self.grid.trilinear(points)
+        known = ((rows >= 0) & self.known[rows.clamp(min=0)]).all(1)
+        rows = rows.clamp(min=0)
+        fixed = (self.base[rows] * weights[..., None]).sum(1)
+        fine = embedding_bag(self.slot[rows], self.fine, mode="sum", per_sample_weights=weights)
+        values = fixed + fine + self.correction(points)
+        values = values * known[:, None]
+        return values[:, 0], values[:, 1:], known
+
+    def correction(self, points: Tensor) -> Tensor:
+        """(N, 3) -> (N, 4): what the coarse features say, sdf within +- 2 voxels, colour within +- 1."""
+        if not self.levels:
+            return points.new_zeros(len(points), 4)
+        features = torch.cat([level(points) for level in self.levels], 1)
+        scale = points.new_tensor([2 * self.grid.voxel_size_m, 1.0, 1.0, 1.0])
+        return torch.tanh(self.decoder(features)) * scale
+
+    @torch.no_grad()
+    def samples(self, ids: Tensor, voxels: float = ACTIVE_VOXELS) -> tuple[Tensor, Tensor]:
+        """(M,) block ids -> sdf (M, 512) metres, and whether it is known; corrected within `voxels` of the surface."""
+        rows = (ids[:, None] * ROWS + torch.arange(ROWS, device=ids.device)).view(-1)
+        sdf = self.base[rows, 0] + self.fine[self.slot[rows], 0]
+        near = (self.known[rows] & (sdf.abs() < voxels * self.grid.voxel_size_m)).nonzero()[:, 0]
+        points = self.grid.block_positions(ids).view(-1, 3)
+        for part in near.split(1 << 17):
+            sdf[part] += self.correction(points[part])[:, 0]
+        return sdf.view(-1, ROWS), self.known[rows].view(-1, ROWS)
+
+    @torch.no_grad()
+    def sdf_table(self) -> Tensor:
+        """(R,) sdf of every sample."""
+        ids = torch.arange(len(self.grid.blocks), device=self.grid.device)
+        return torch.cat([self.samples(part)[0].view(-1) for part in ids.split(1024)])
+
+    def to_state(self) -> dict[str, Any]:
+        """Plain tensors and numbers for `from_state`."""
+        return {
+            "voxel_size_m": self.grid.voxel_size_m,
+            "blocks": self.grid.blocks,
+            "sdf": self.base[:, 0],
+            "rgb": (self.base[:, 1:] * 255).round().to(torch.uint8),
+            "sigma": self.sigma.half(),
+            "known": self.known,
+            "config": self.config.model_dump(mode="json"),
+            "parameters": self.state_dict(),
+        }
+
+    @classmethod
+    def from_state(cls, state: dict[str, Any], device: torch.device | str = "cpu") -> NeuralField:
+        """The field that `to_state` describes."""
+        grid = SparseGrid(state["voxel_size_m"], device)
+        grid.restore(state["blocks"].to(device))
+        base = torch.cat([state["sdf"][:, None], state["rgb"].float() / 255], 1).to(device)
+        config = FieldConfig.model_validate(state["config"])
+        sigma, known = state["sigma"].float().to(device), state["known"].to(device)
+        field = cls(grid, base, sigma, known, config, torch.Generator())
+        field.load_state_dict(state["parameters"])
+        return field
+
+
+def _coarser(grid: SparseGrid, factor: int, active: Tensor) -> SparseGrid:
+    """A grid of `factor` times the voxel size that covers the blocks with active samples."""
+    coarse = SparseGrid(grid.voxel_size_m * factor, grid.device)
+    blocks = grid.blocks[torch.unique(active // ROWS)]
+    if len(blocks):
+        ends = torch.stack([blocks * 8, blocks * 8 + 7, blocks * 8 + 7 + factor])  # with the upper neighbour cell
+        corners = torch.div(ends, factor, rounding_mode="floor") >> 3
+        spans = [torch.stack([corners[i, :, 0], corners[j, :, 1], corners[k, :, 2]], 1)
+                 for i in range(3) for j in range(3) for k in range(3)]  # fmt: skip
+        coarse.allocate(unique_blocks(torch.cat(spans)))
+    return coarse
+
+
+def _decoder(inputs: int, hidden: int, generator: torch.Generator) -> nn.Sequential:
+    """inputs -> hidden -> 4; the last layer starts at zero."""
+    first, last = nn.Linear(inputs, hidden), nn.Linear(hidden, 4)
+    with torch.no_grad():
+        bound = math.sqrt(6 / (inputs + hidden))
+        first.weight.uniform_(-bound, bound, generator=generator)
+        for values in (first.bias, last.weight, last.bias):
+            values.zero_()
+    return nn.Sequential(first, nn.ReLU(), last)

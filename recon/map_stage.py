@@ -1,0 +1,151 @@
+"""The `map` stage of a run: choose frames, reconstruct, and write what came out."""
+
+from __future__ import annotations
+
+import json
+import resource
+import sys
+import time
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from .checkpoint import Checkpoint, load_tensors, save_tensors
+from .config import MapConfig, to_toml
+from .errors import ConfigError, DataError, RunError
+from .events import Note, OnEvent, Warn, ignore
+from .field import NeuralField
+from .pipeline import choose_device, reconstruct
+from .recording import RunFrames
+from .run import Manifest, RunDirectory, config_hash
+from .storage import BETA_UNITS_PER_M, encode_metres, write_image, write_text
+from .tracking import GivenPoses
+from .trajectory import Trajectory
+from .tsdf import fuse_open3d
+
+STAGE = "map"
+
+
+@dataclass(frozen=True)
+class MapSummary:
+    """What a person wants to hear after `uncle map`."""
+
+    frames: int
+    seconds: float
+    peak_memory_mb: float
+    unchanged: bool = False
+
+
+def map_run(
+    run: RunDirectory, config: MapConfig, *, resume: bool = False, overwrite: bool = False, on_event: OnEvent = ignore
+) -> MapSummary:
+    """Make the map of `run` and its trajectory, beta maps, curves and configuration.
+
+    A finished map of the same settings is kept unless `overwrite`; `resume` continues an interrupted one.
+    Raises ConfigError for unknown sensors, DataError if nothing can be mapped, RunError for files.
+    """
+    manifest = run.manifest
+    config = config.model_copy(update={"sensors": choose_sensors(manifest, config.sensors)})
+    digest = config_hash(config.model_dump(mode="json"), run.require_stage("preprocess").config_hash)
+    if run.is_current(STAGE, digest) and not overwrite:
+        return MapSummary(len(Trajectory.load(run.trajectory_path)), 0.0, 0.0, unchanged=True)
+    frames = RunFrames(run, config.sensors)
+    indices, held_out = split_frames(frames, config, on_event)
+    checkpoint = Checkpoint(run.checkpoint_path, digest)
+    _prepare(checkpoint, resume and not overwrite, on_event)
+    torch.manual_seed(config.seed)
+    started = time.time()
+    field, poses, facts = _reconstruct(run, frames, indices, config, checkpoint, on_event)
+    _invalidate_later_stages(run)
+    save_tensors(run.field_path, field.to_state())
+    _trajectory(frames, poses).save(run.trajectory_path)
+    write_text(run.config_path, to_toml(config))
+    facts |= {"method": config.method, "sensors": list(config.sensors), "seed": config.seed, "held_out": held_out}
+    facts |= {"device": str(choose_device(config.device)), "frames": len(poses), "peak_memory_mb": peak_memory_mb()}
+    run.finish_stage(STAGE, digest, started, facts)
+    checkpoint.remove()
+    return MapSummary(len(poses), time.time() - started, facts["peak_memory_mb"])
+
+
+def load_field(run: RunDirectory, device: str = "cpu") -> NeuralField:
+    """The finished map of a run. Raises RunError if there is none."""
+    run.require_stage(STAGE)
+    return NeuralField.from_state(load_tensors(run.field_path), device)
+
+
+def choose_sensors(manifest: Manifest, wanted: tuple[str, ...]) -> tuple[str, ...]:
+    """`wanted`, or every sensor but the ground truth. Raises ConfigError naming what there is."""
+    unknown = [sensor for sensor in wanted if sensor not in manifest.sensors]
+    if unknown:
+        raise ConfigError(f"no sensor called {unknown[0]!r} in this run; it has: {', '.join(manifest.sensors)}")
+    chosen = tuple(dict.fromkeys(wanted)) or tuple(s for s in manifest.sensors if s != "gt") or manifest.sensors
+    return chosen
+
+
+def split_frames(frames: RunFrames, config: MapConfig, on_event: OnEvent = ignore) -> tuple[list[int], list[int]]:
+    """Indices to map, and those held out: every `config.hold_out`-th. Raises DataError if none has a pose."""
+    posed = [index for index in range(len(frames)) if frames.pose(index) is not None]
+    GivenPoses.check(bool(posed))
+    if len(posed) < len(frames):
+        on_event(Warn(f"{len(frames) - len(posed)} of {len(frames)} frames have no camera pose and are left out"))
+    every = config.hold_out
+    held_out = [index for index in posed if every and index % every == every - 1]
+    return [index for index in posed if index not in set(held_out)], held_out
+
+
+def peak_memory_mb() -> float:
+    """Largest resident memory of this process so far, MB."""
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    return round(peak / (1e6 if sys.platform == "darwin" else 1e3), 1)
+
+
+def _prepare(checkpoint: Checkpoint, resume: bool, on_event: OnEvent) -> None:
+    if not checkpoint.path.exists():
+        return
+    if not resume:
+        on_event(Note("an interrupted map of this run is dropped; use --resume to continue such a one"))
+        checkpoint.remove()
+    elif checkpoint.load() is None:
+        raise RunError("the interrupted map has other settings; give the same ones, or start over without --resume")
+
+
+def _reconstruct(run, frames, indices, config, checkpoint, on_event) -> tuple[NeuralField, dict[int, np.ndarray], dict]:
+    if config.method == "tsdf":
+        began = time.time()
+        field, poses = fuse_open3d(frames, indices, config, on_event)
+        _require_surface(field)
+        return field, poses, {"seconds": {"fusion": round(time.time() - began, 2)}}
+
+    def write_beta(index: int, sensor: str, beta: Tensor) -> None:
+        write_image(run.beta_path(sensor, index), encode_metres(beta.numpy(), BETA_UNITS_PER_M))
+
+    made = reconstruct(frames, indices, config, checkpoint, write_beta, on_event)
+    _require_surface(made.field)
+    write_text(run.curves_path, json.dumps(_curves(made.curves)))
+    seconds = {name: round(value, 2) for name, value in made.seconds.items()}
+    return made.field, made.poses, {"seconds": seconds, "keyframes": len(made.mapper.selector.T_camera_world)}
+
+
+def _require_surface(field: NeuralField) -> None:
+    if not bool(field.known.any()):
+        raise DataError("nothing was seen often enough to make a surface; map more frames or lower fusion.min_readings")
+
+
+def _curves(losses: dict[str, list[float]]) -> dict[str, Any]:
+    axes = {"x_label": "step", "y_label": "negative log-likelihood (nats)"}
+    return {name: {"x": list(range(len(y))), "y": y, **axes} for name, y in losses.items() if y}
+
+
+def _trajectory(frames: RunFrames, poses: dict[int, np.ndarray]) -> Trajectory:
+    order = sorted(poses)
+    stamps = np.array([frames.records[index].timestamp for index in order])
+    return Trajectory(stamps, np.stack([np.asarray(poses[index]) for index in order]))
+
+
+def _invalidate_later_stages(run: RunDirectory) -> None:
+    manifest = run.manifest
+    manifest.stages = {name: record for name, record in manifest.stages.items() if name == "preprocess"}
+    run.save_manifest(manifest)

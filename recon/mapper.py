@@ -1,0 +1,151 @@
+"""The map under construction: fusion, keyframe rays, and one noise model per sensor."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from .camera import Camera
+from .config import MapConfig
+from .frame import Frame
+from .fusion import FusionVolume
+from .grid import SparseGrid
+from .keyframes import KeyframeSelector, RayStore
+from .noise_features import noise_features
+from .raycast import cast_rays
+from .uncertainty import NoiseModel
+
+WEIGHT_SCALE_M = 0.01  # a reading with this beta weighs 1
+_MAX_SELF_SHARE = 0.9  # readings that make up more of the map than this say nothing about themselves
+_MAX_RESIDUAL_M = 1.0
+
+
+class Mapper:
+    """Adds posed frames to the map and learns from it how noisy each sensor is."""
+
+    def __init__(self, camera: Camera, sensors: tuple[str, ...], config: MapConfig, device: torch.device) -> None:
+        fusion = config.fusion
+        self.camera, self.sensors, self.config, self.device = camera, sensors, config, device
+        self.generator = torch.Generator().manual_seed(config.seed)
+        grid = SparseGrid(fusion.voxel_size_m, device)
+        truncation = fusion.truncation_voxels * fusion.voxel_size_m
+        self.volume = FusionVolume(grid, camera, truncation, fusion.max_depth_m)
+        self.noise = {s: NoiseModel(config.uncertainty, self.generator).to(device) for s in sensors}
+        self.selector = KeyframeSelector(camera, config.keyframes)
+        self.rays = RayStore(config.keyframes.max_rays)
+
+    # --- one frame ---------------------------------------------------------------------------------------------
+    def explore(self, frame: Frame, normals: dict[str, Tensor], T_world_camera: Tensor) -> dict[str, Tensor]:
+        """First look at a frame: a keyframe lends its rays; what the map predicts there, before the frame is part of it,
+        teaches the noise models; then the frame is fused. Returns the beta images used, by sensor."""
+        features = self.features(frame, normals)
+        if self.selector.is_keyframe(frame, T_world_camera):
+            rays = self._draw_rays(frame, features, T_world_camera)
+            if self.config.uncertainty.enabled and self.volume.grid.rows:
+                self._learn(rays, self.config.uncertainty.steps_per_keyframe)
+            self.rays.add(rays, self.generator)
+        for depth in frame.depths.values():
+            self.volume.allocate(depth.to(self.device), T_world_camera)
+        return self.fuse(frame, features, T_world_camera)
+
+    def fuse(self, frame: Frame, features: dict[str, Tensor], T_world_camera: Tensor) -> dict[str, Tensor]:
+        """Fuse all sensors of a frame, each reading weighted by 1 / beta^2; returns beta (H, W) metres by sensor."""
+        color = frame.color.to(self.device)
+        betas = {}
+        for sensor, depth in frame.depths.items():
+            depth, weight = depth.to(self.device), None
+            if self.config.uncertainty.enabled:
+                betas[sensor] = self.noise[sensor].beta_image(depth, features[sensor].to(self.device))
+                weight = (WEIGHT_SCALE_M / betas[sensor].clamp(min=1e-6)).square()
+            self.volume.integrate(depth, weight, color, T_world_camera)
+        return betas
+
+    def features(self, frame: Frame, normals: dict[str, Tensor]) -> dict[str, Tensor]:
+        """(H, W, F) input of h_w for each sensor; nothing if the uncertainty is off."""
+        if not self.config.uncertainty.enabled:
+            return {}
+        return {s: noise_features(d, normals[s], frame.color, self.camera) for s, d in frame.depths.items()}
+
+    # --- the whole map -----------------------------------------------------------------------------------------
+    def learn(self) -> dict[str, float]:
+        """Fit the noise models to the residuals of all keyframe rays against the whole map; returns the mean nats."""
+        return self._learn(self.rays.columns, self.config.uncertainty.steps_per_sweep)
+
+    def known(self) -> Tensor:
+        """(R,) samples that enough readings saw."""
+        return self.volume.counts() >= self.config.fusion.min_readings
+
+    def _learn(self, rays: dict[str, Tensor], steps: int) -> dict[str, float]:
+        sdf = self.volume.sdf()
+        hit = cast_rays(
+            self.volume.grid, sdf, self.known(), rays["origins"], rays["directions"],
+            self.config.fusion.max_depth_m * 1.2, 0.75 * self.volume.truncation_m,
+        )  # fmt: skip
+        losses = {}
+        for column, (sensor, model) in enumerate(self.noise.items()):
+            depth, features = rays["depths"][:, column], rays["features"][:, column]
+            used = (depth > 0) & (hit > 0)
+            residual, trusted = self._residuals(model, rays, depth, features, hit, used)
+            losses[sensor] = model.learn(features[used][trusted], residual[trusted], steps, self.generator)
+        return losses
+
+    @torch.no_grad()
+    def _residuals(self, model, rays, depth, features, hit, used) -> tuple[Tensor, Tensor]:
+        """|D - D_hat| against the map without the reading itself, metres, and which of them can be trusted.
+
+        The map is a weighted mean, so leaving one reading of weight w out of a total W stretches its residual by
+        1 / (1 - w / W): a reading must not vouch for itself.
+        """
+        points = rays["origins"][used] + rays["directions"][used] * hit[used, None]
+        rows = self.volume.grid.nearest_rows(points)
+        total = self.volume.sums[rows.clamp(min=0), 0]
+        own = (WEIGHT_SCALE_M / model(features[used].float())).square()
+        share = (own / total.clamp(min=1e-9)).clamp(max=1.0)
+        residual = (depth[used] - hit[used]).abs()
+        near = residual < self.volume.truncation_m  # a reading further off had no say at this sample
+        stretched = torch.where(near, residual / (1 - share.clamp(max=_MAX_SELF_SHARE)), residual)
+        return stretched.clamp(max=_MAX_RESIDUAL_M), ~near | (share < _MAX_SELF_SHARE)
+
+    def _draw_rays(self, frame: Frame, features: dict[str, Tensor], T_world_camera: Tensor) -> dict[str, Tensor]:
+        depths = torch.stack([depth.reshape(-1) for depth in frame.depths.values()], 1)
+        usable = ((depths > 0) & (depths < self.config.fusion.max_depth_m)).any(1).nonzero()[:, 0]
+        picks = (
+            torch.randint(len(usable), (self.config.keyframes.rays,), generator=self.generator) if len(usable) else []
+        )
+        pixels = usable[picks]
+        directions = self.camera.rays().view(-1, 3)[pixels] @ T_world_camera[:3, :3].cpu().T
+        stacked = [image.view(-1, image.shape[-1])[pixels] for image in features.values()]
+        rays = {
+            "origins": T_world_camera[:3, 3].cpu().expand(len(pixels), 3),
+            "directions": directions,
+            "depths": depths[pixels],
+            "colors": frame.color.view(-1, 3)[pixels],
+            "features": torch.stack(stacked, 1).half() if stacked else torch.zeros(len(pixels), len(self.sensors), 0),
+        }
+        return {name: values.to(self.device) for name, values in rays.items()}
+
+    # --- checkpoint --------------------------------------------------------------------------------------------
+    def state_dict(self) -> dict[str, Any]:
+        """Plain tensors and containers that `load_state_dict` continues from, bit for bit."""
+        return {
+            "blocks": self.volume.grid.blocks,
+            "sums": self.volume.sums,
+            "color_sums": self.volume.color_sums,
+            "noise": {s: (m.state_dict(), m.optimizer.state_dict()) for s, m in self.noise.items()},
+            "keyframes": self.selector.T_camera_world,
+            "rays": self.rays.columns,
+            "generator": self.generator.get_state(),
+        }
+
+    def load_state_dict(self, state: dict[str, Any]) -> None:
+        self.volume.grid.restore(state["blocks"].to(self.device))
+        self.volume.sums = state["sums"].to(self.device)
+        self.volume.color_sums = state["color_sums"].to(self.device)
+        for sensor, (weights, optimizer) in state["noise"].items():
+            self.noise[sensor].load_state_dict(weights)
+            self.noise[sensor].optimizer.load_state_dict(optimizer)
+        self.selector.T_camera_world = list(state["keyframes"])
+        self.rays.columns = {name: values.to(self.device) for name, values in state["rays"].items()}
+        self.generator.set_state(state["generator"].cpu())

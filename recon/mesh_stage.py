@@ -1,0 +1,50 @@
+"""The `mesh` stage of a run."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass
+from pathlib import Path
+
+from .events import OnEvent, ignore
+from .map_stage import load_field
+from .mesh import make_mesh
+from .run import RunDirectory, config_hash
+from .trajectory import Trajectory
+
+STAGE = "mesh"
+
+
+@dataclass(frozen=True)
+class MeshSummary:
+    """Where the mesh is, and its size (0 if it was already there)."""
+
+    path: Path
+    vertices: int
+    faces: int
+    unchanged: bool = False
+
+
+def mesh_run(
+    run: RunDirectory, *, voxel_size_m: float | None = None, clean: bool | None = None,
+    max_sigma_m: float | None = None, out: Path | None = None, overwrite: bool = False, on_event: OnEvent = ignore,
+) -> MeshSummary:  # fmt: skip
+    """Write the mesh of a finished map to `out` (default RUN/mesh.ply). Raises RunError, DataError.
+
+    The plain baseline is not cleaned by default: it is what a user of Open3D would get.
+    """
+    mapped = run.require_stage("map")
+    if clean is None:
+        clean = mapped.facts.get("method") != "tsdf"
+    digest = config_hash(voxel_size_m, clean, max_sigma_m, mapped.config_hash, mapped.finished)
+    path = out or run.mesh_path
+    if out is None and run.is_current(STAGE, digest) and path.exists() and not overwrite:
+        return MeshSummary(path, 0, 0, unchanged=True)
+    started = time.time()
+    poses = Trajectory.load(run.trajectory_path).T_world_camera
+    mesh = make_mesh(load_field(run), run.camera, list(poses), voxel_size_m, clean, max_sigma_m, on_event)
+    mesh.save(path)
+    if out is None:
+        facts = {"voxel_size_m": voxel_size_m, "clean": clean, "vertices": len(mesh.vertices), "faces": len(mesh.faces)}
+        run.finish_stage(STAGE, digest, started, facts)
+    return MeshSummary(path, len(mesh.vertices), len(mesh.faces))

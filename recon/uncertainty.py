@@ -1,0 +1,64 @@
+"""The uncertainty of a sensor: a small network h_w from image features to the Laplace scale beta of each reading."""
+
+from __future__ import annotations
+
+import math
+
+import torch
+from torch import Tensor, nn
+from torch.nn.functional import softplus
+
+from .config import UncertaintyConfig
+from .losses import laplace_nll
+from .noise_features import FEATURES
+
+START_BETA_M = 0.05  # before anything is learned
+PIXELS = 65536  # evaluated at a time
+
+
+class NoiseModel(nn.Module):
+    """h_w of one sensor: (N, F) features -> (N,) beta in metres, at least `beta_min_m` (paper: beta_min + softplus)."""
+
+    def __init__(self, config: UncertaintyConfig, generator: torch.Generator) -> None:
+        super().__init__()
+        self.config = config
+        sizes = [len(FEATURES), config.hidden, config.hidden, 1]
+        self.layers = nn.ModuleList(nn.Linear(a, b) for a, b in zip(sizes[:-1], sizes[1:], strict=True))
+        with torch.no_grad():
+            for layer in self.layers:
+                bound = math.sqrt(6 / sum(layer.weight.shape))  # Xavier, as in METHOD.md section 3
+                layer.weight.uniform_(-bound, bound, generator=generator)
+                layer.bias.zero_()
+            self.layers[-1].weight.mul_(0.1)
+            self.layers[-1].bias.fill_(math.log(math.expm1(START_BETA_M)))
+        self.optimizer = torch.optim.Adam(self.parameters(), config.learning_rate)
+
+    def forward(self, features: Tensor) -> Tensor:
+        hidden = features
+        for layer in self.layers[:-1]:
+            hidden = torch.relu(layer(hidden))
+        return self.config.beta_min_m + softplus(self.layers[-1](hidden)[..., 0])
+
+    @torch.no_grad()
+    def beta_image(self, depth: Tensor, features: Tensor) -> Tensor:
+        """depth (H, W) metres, features (H, W, F) -> beta (H, W) metres, 0 where there is no reading."""
+        beta = torch.zeros(depth.numel(), device=depth.device)
+        pixels = (depth.reshape(-1) > 0).nonzero()[:, 0]
+        flat = features.reshape(-1, features.shape[-1])
+        for part in pixels.split(PIXELS):
+            beta[part] = self(flat[part])
+        return beta.view(depth.shape)
+
+    def learn(self, features: Tensor, residuals: Tensor, steps: int, generator: torch.Generator) -> float:
+        """Minimise the Laplace likelihood of `residuals` (N,) metres given `features` (N, F); returns its last mean, in nats."""
+        loss = torch.zeros(())
+        if len(residuals) == 0:
+            return math.nan
+        for step in range(steps):
+            batch = torch.randint(len(residuals), (self.config.batch,), generator=generator).to(residuals.device)
+            loss = laplace_nll(residuals[batch], self(features[batch].float())).mean()
+            self.optimizer.param_groups[0]["lr"] = self.config.learning_rate * (1 - 0.9 * step / steps)
+            self.optimizer.zero_grad(set_to_none=True)
+            loss.backward()
+            self.optimizer.step()
+        return float(loss.detach())
