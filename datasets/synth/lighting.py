@@ -7,7 +7,8 @@ from __future__ import annotations
 
 import numpy as np
 import open3d as o3d
-from scipy.ndimage import map_coordinates
+import torch
+from torch.nn.functional import grid_sample
 
 from .scene import Light, Scene
 
@@ -30,7 +31,7 @@ class LightField:
             return
         low, high = scene.bounds
         spacing = max(_SPACING_M, float(np.prod((high - low) / _MAX_NODES ** (1 / 3)) ** (1 / 3)))
-        self._low, self._spacing = low, spacing
+        self._low, self._spacing = low.astype(np.float32), np.float32(spacing)
         counts = np.ceil((high - low) / spacing).astype(int) + 1
         axes = [low[i] + spacing * np.arange(counts[i]) for i in range(3)]
         nodes = np.stack(np.meshgrid(*axes, indexing="ij"), -1).reshape(-1, 3)
@@ -38,28 +39,32 @@ class LightField:
         directions *= _OPEN_DISTANCE_M / np.linalg.norm(directions, axis=1, keepdims=True)
         open_share = _unoccluded(raycaster, nodes, nodes[:, None] + directions[None])
         # Half of the sphere around a point on a plain wall lies behind the wall.
-        self._openness = np.minimum(2 * open_share, 1).reshape(counts)
-        self._visibility = [_visibility(raycaster, nodes, light, rng).reshape(counts) for light in self._lights]
+        shares = [np.minimum(2 * open_share, 1)]
+        shares += [_visibility(raycaster, nodes, light, rng) for light in self._lights]
+        self._shares = torch.from_numpy(np.stack(shares).reshape(1, -1, *counts))  # openness, then one per light
+        self._unit = (2 / (spacing * (counts - 1))).astype(np.float32)  # metres -> -1..1
 
     def irradiance(self, points: np.ndarray, normals: np.ndarray) -> np.ndarray:
         """(N, 3) linear RGB light on points (N, 3) with unit normals (N, 3) that point to the viewer's side."""
         if not self._lights:
             return _sky_light(normals)
-        lifted = (points + self._spacing * normals - self._low) / self._spacing
-        where = lifted.T.astype(np.float32)
-        light = _AMBIENT * (0.25 + 0.75 * _interpolate(self._openness, where))[:, None]
-        for source, visibility in zip(self._lights, self._visibility, strict=True):
+        openness, *visibilities = self._interpolate(points + self._spacing * normals)
+        light = _AMBIENT * (0.25 + 0.75 * openness)[:, None]
+        for source, visibility in zip(self._lights, visibilities, strict=True):
             to_light = source.center.astype(np.float32) - points
             square = np.einsum("nk,nk->n", to_light, to_light)
             cosine = np.einsum("nk,nk->n", to_light, normals) / np.sqrt(square)
             # Wrapped Lambert: a large source also reaches a surface that faces a little away from its centre.
-            strength = np.maximum(cosine + 0.15, 0) / 1.15 * _interpolate(visibility, where) / (square + 1.0)
+            strength = np.maximum(cosine + 0.15, 0) / 1.15 * visibility / (square + 1.0)
             light += strength[:, None] * source.color.astype(np.float32)
         return light
 
-
-def _interpolate(grid: np.ndarray, where: np.ndarray) -> np.ndarray:
-    return map_coordinates(grid, where, order=1, mode="nearest", output=np.float32)
+    def _interpolate(self, points: np.ndarray) -> np.ndarray:
+        """(1 + lights, N) shares at points (N, 3), linear between the nodes of the grid."""
+        where = (points - self._low) * self._unit - 1
+        grid = torch.from_numpy(np.ascontiguousarray(where[:, ::-1]))[None, :, None, None]
+        shares = grid_sample(self._shares, grid, padding_mode="border", align_corners=True)
+        return shares[0, :, :, 0, 0].numpy()
 
 
 def _sky_light(normals: np.ndarray) -> np.ndarray:

@@ -111,7 +111,7 @@ def depth_normals(depth: np.ndarray, focal_px: float) -> np.ndarray:
 def _rays(shape: tuple[int, int], focal_px: float) -> np.ndarray:
     """(H, W, 3) float32 directions with z = 1; the principal point is the centre of the image."""
     v, u = np.mgrid[: shape[0], : shape[1]]
-    x, y = (u - shape[1] / 2) / focal_px, (v - shape[0] / 2) / focal_px
+    x, y = (u - (shape[1] - 1) / 2) / focal_px, (v - (shape[0] - 1) / 2) / focal_px
     return np.stack([x, y, np.ones_like(x)], axis=-1).astype(np.float32)
 
 

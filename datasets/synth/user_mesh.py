@@ -73,6 +73,7 @@ def _joined(parts: list[tuple], up: str) -> Scene:
         uv = np.asarray(mesh.triangle_uvs).reshape(-1, 3, 2) if has_uvs else np.zeros((len(triangles), 3, 2))
         if has_uvs:
             textures.append(texture)
+            uv = uv * [1, -1] + [0, 1]  # Open3D counts v from the bottom of the image
         tint = np.broadcast_to(base, (len(triangles), 3, 3))
         if mesh.has_vertex_colors():
             tint = tint * np.asarray(mesh.vertex_colors)[triangles] ** 2  # the square stands for the sRGB curve

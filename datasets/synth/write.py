@@ -85,7 +85,7 @@ def make_dataset(
     out = Path(out)
     _check_free(out, overwrite)
     scene = load_scene(mesh, up) if mesh is not None else furnished_room(seed)
-    camera = Camera(size, size, size / 2, size / 2, size / 2, size / 2)
+    camera = square_camera(size)
     on_event(Note(f"scene: {mesh if mesh is not None else ', '.join(scene.contents)}"))
     renderer = Renderer(scene, camera, np.random.default_rng([seed, 2]))
     free = FreeSpace.find(renderer.raycaster, *scene.bounds)
@@ -159,6 +159,11 @@ class _Recorder:
         write_image(self.folder / folder / f"{index}.png", encode_metres(depth, DEPTH_UNITS_PER_M))
 
 
+def square_camera(size: int) -> Camera:
+    """The camera of the layout: 90 degrees about the middle of the image, `size` pixels wide and high."""
+    return Camera(size, size, size / 2, size / 2, (size - 1) / 2, (size - 1) / 2)
+
+
 def pose_file_matrix(T_world_camera: np.ndarray) -> np.ndarray:
     """(4, 4) as SenFuNet stores it: OpenGL camera axes in a world with y up. The inverse of what its reader does."""
     return Z_UP_FROM_Y_UP.T @ T_world_camera @ OPENGL_TO_OPENCV
@@ -217,7 +222,7 @@ def _facts(frames, size, seed, mesh, up, chosen, loops, contents) -> dict:
             "mesh": str(mesh) if mesh is not None else None, "up": up,
         },
         "scene": {"kind": "user mesh" if mesh is not None else "procedural room", "contents": list(contents)},
-        "camera": {"hfov_deg": 90.0, "focal_px": size / 2, "center_px": size / 2, "stereo_baseline_m": BASELINE_M},
+        "camera": square_camera(size).to_dict() | {"stereo_baseline_m": BASELINE_M},
         "path": {"kind": "spline through random waypoints with hand shake", "clearance_m": CLEARANCE_M},
         "color": {"noise_sigma_levels": _COLOR_NOISE, "shading": "diffuse; no highlights, no motion blur"},
         "sensors": {"left_depth_gt": "exact depth, rounded to millimetres"}
