@@ -47,7 +47,7 @@ def test_commands_in_the_docs_parse(page, line):
     if words[0].startswith("-"):
         return
     assert words[0] in COMMANDS
-    context = click.Context(main, info_name="uncle")
+    context = click.Context(main, info_name="uncle", **main.context_settings)
     command = main.get_command(context, words[0])
     command.make_context(words[0], words[1:], parent=context, resilient_parsing=False).close()
 
