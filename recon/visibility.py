@@ -116,8 +116,7 @@ def voxel_means(points: np.ndarray, voxel_m: float) -> np.ndarray:
     """(N, 3) points -> (M, 3): the mean of the points in each occupied cube of `voxel_m`, in order of the cubes."""
     if len(points) == 0:
         return points
-    keys = np.floor(points / voxel_m).astype(np.int64)
-    keys -= keys.min(axis=0)
-    shape = keys.max(axis=0) + 1
-    _, owner, counts = np.unique(np.ravel_multi_index(keys.T, shape), return_inverse=True, return_counts=True)
+    keys = np.floor((points - points.min(axis=0)) / voxel_m + 0.5).astype(np.int64)  # outer walls lie mid-cube
+    cubes = np.ravel_multi_index(keys.T, keys.max(axis=0) + 1)
+    _, owner, counts = np.unique(cubes, return_inverse=True, return_counts=True)
     return np.column_stack([np.bincount(owner, points[:, axis]) for axis in range(3)]) / counts[:, None]

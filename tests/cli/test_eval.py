@@ -1,0 +1,139 @@
+"""`uncle eval` as a user meets it."""
+
+import json
+import time
+
+import numpy as np
+import pytest
+from click.testing import CliRunner, Result
+from uncle.cli.main import main
+from uncle.recon.mesh_io import Mesh
+
+FAST = ["--samples", "5000", "--views", "3"]
+
+
+def uncle(*arguments: object) -> Result:
+    return CliRunner().invoke(main, ["eval", *map(str, arguments)])
+
+
+@pytest.fixture
+def meshes(tmp_path, box_room):
+    """Paths of a mesh with walls 1 cm too far, and of the truth."""
+    paths = tmp_path / "mesh.ply", tmp_path / "gt.ply"
+    box_room.mesh(grow_m=0.01).save(paths[0])
+    box_room.mesh().save(paths[1])
+    return paths
+
+
+@pytest.fixture
+def run(make_box_run, box_room):
+    run = make_box_run()
+    box_room.mesh(grow_m=0.01).save(run.mesh_path)
+    run.trajectory_path.write_bytes(run.reference_trajectory_path.read_bytes())
+    run.finish_stage("map", "0", time.time(), {"held_out": [3], "sensors": ["noisy"]})
+    return run
+
+
+def test_table_for_people(meshes):
+    result = uncle(*meshes, "--completeness-to", "surface", *FAST)
+    assert result.exit_code == 0, result.output
+    for text in ("F-score at 5 cm", "F-score at 2 cm", "100.00", "1.00 / 1.00", "cm", "seed 0", "5000 samples"):
+        assert text in result.stdout
+
+
+def test_json_for_machines_carries_settings_and_ratios(meshes):
+    result = uncle(*meshes, "--threshold", 0.05, "--threshold", 0.005, "--seed", 3, "--json", *FAST)
+    assert result.exit_code == 0, result.output
+    stored = json.loads(result.stdout)
+    assert [score["threshold_m"] for score in stored["mesh"]["scores"]] == [0.05, 0.005]
+    assert [score["precision"] for score in stored["mesh"]["scores"]] == [1.0, 0.0]
+    assert stored["mesh"]["accuracy_mean_m"] == pytest.approx(0.01, abs=1e-3)
+    assert stored["mesh"]["settings"] == {
+        "protocol": "standard", "completeness_to": "samples", "samples": 5000, "seed": 3, "icp": False, "culled": False,
+    }  # fmt: skip
+    assert stored["novel_views"]["views"] == 3
+
+
+def test_paper_protocol_aligns_unless_told_not_to(meshes):
+    paper = json.loads(uncle(*meshes, "--protocol", "paper", "--views", 0, "--json").stdout)
+    assert paper["mesh"]["settings"]["icp"]
+    assert paper["mesh"]["settings"]["samples"] is None
+    plain = json.loads(uncle(*meshes, "--protocol", "paper", "--no-icp", "--views", 0, "--json").stdout)
+    assert not plain["mesh"]["settings"]["icp"]
+
+
+def test_culled_by_a_run(meshes, run):
+    stored = json.loads(uncle(*meshes, "--cull", run.root, "--json", *FAST).stdout)
+    assert stored["mesh"]["settings"]["culled"]
+    assert stored["cull"] == str(run.root)
+    assert stored["novel_views"]["culled"]
+
+
+def test_error_mesh_is_written_in_colour(meshes, tmp_path):
+    target = tmp_path / "error.ply"
+    assert uncle(*meshes, "--error-mesh", target, *FAST).exit_code == 0
+    assert Mesh.load(target).colors.shape == (8, 3)
+
+
+def test_run_is_scored_and_the_figures_kept(run):
+    result = uncle("--run", run.root, *FAST)
+    assert result.exit_code == 0, result.output
+    for text in (
+        "Surface",
+        "Trajectory",
+        "Depth of held-out frames",
+        "Uncertainty of noisy",
+        "the camera poses were given",
+    ):
+        assert text in result.stdout
+    stored = json.loads(run.metrics_path.read_text())
+    assert set(stored["uncertainty"]) == {"noisy"}
+    assert json.loads(uncle("--run", run.root, "--json", *FAST).stdout) == stored
+
+
+def test_run_says_what_could_not_be_scored(run):
+    run.mesh_path.unlink()
+    result = uncle("--run", run.root, *FAST)
+    assert result.exit_code == 0
+    assert "not scored: mesh: there is no mesh yet; run `uncle mesh" in result.stdout
+    assert "not scored: held out:" in result.stdout
+
+
+def _empty_mesh(folder):
+    path = folder / "empty.ply"
+    Mesh(np.zeros((0, 3), np.float32), np.zeros((0, 3), np.int32)).save(path)
+    return path
+
+
+@pytest.mark.parametrize(
+    ("arguments", "code", "message"),
+    [
+        (["absent.ply", "gt.ply"], 1, "there is no mesh at"),
+        (["mesh.ply", "absent.ply"], 1, "there is no mesh at"),
+        (["empty.ply", "gt.ply"], 1, "holds no triangles"),
+        (["mesh.ply", "empty.ply"], 1, "holds no triangles"),
+        (["mesh.ply"], 2, "give both MESH and GT"),
+        (["mesh.ply", "gt.ply", "--cull", "nowhere"], 1, "holds no run"),
+        (["--run", "nowhere"], 1, "holds no run"),
+        (["--cull", "nowhere"], 2, "--cull goes with MESH and GT"),
+        (["mesh.ply", "gt.ply", "--threshold", "0"], 2, "--threshold"),
+        (["mesh.ply", "gt.ply", "--samples", "0"], 2, "--samples"),
+    ],
+)
+def test_mistakes_end_in_one_line(meshes, tmp_path, arguments, code, message):
+    _empty_mesh(tmp_path)
+    paths = [tmp_path / a if a.endswith(".ply") or a == "nowhere" else a for a in arguments]
+    result = uncle(*paths)
+    assert result.exit_code == code
+    assert message in result.output
+    errors = [line for line in result.stderr.splitlines() if line.startswith("Error")]
+    assert len(errors) == 1
+    assert isinstance(result.exception, SystemExit)
+
+
+def test_run_with_nothing_to_score(make_box_run):
+    run = make_box_run(("gt",))
+    result = uncle("--run", run.root)
+    assert result.exit_code == 1
+    assert "nothing in" in result.output
+    assert not run.metrics_path.exists()

@@ -1,0 +1,95 @@
+"""A room whose every depth is known, on disk as a run."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+import pytest
+from uncle.recon.camera import Camera
+from uncle.recon.mesh_io import Mesh
+from uncle.recon.run import FrameRecord, Manifest, RunDirectory
+from uncle.recon.storage import BETA_UNITS_PER_M, DEPTH_UNITS_PER_M, encode_metres, write_image, write_text
+from uncle.recon.trajectory import Trajectory
+
+ROOM_M = np.array([4.0, 3.0, 2.5])
+FACES = np.array([[0, 2, 3], [0, 3, 1], [4, 5, 7], [4, 7, 6], [0, 1, 5], [0, 5, 4], [2, 6, 7], [2, 7, 3], [0, 4, 6],
+                  [0, 6, 2], [1, 3, 7], [1, 7, 5]], dtype=np.int32)  # fmt: skip
+
+
+@dataclass(frozen=True)
+class BoxRoom:
+    """A room with one corner at the origin and the other at `ROOM_M`, z up, seen from a circle inside it."""
+
+    camera: Camera = field(default_factory=lambda: Camera(160, 120, 90.0, 90.0, 79.5, 59.5))
+
+    def mesh(self, grow_m: float = 0.0) -> Mesh:
+        """The walls, each moved outwards by `grow_m`."""
+        corners = np.array([[x, y, z] for z in (0, 1) for y in (0, 1) for x in (0, 1)], dtype=np.float64)
+        return Mesh((corners * (ROOM_M + 2 * grow_m) - grow_m).astype(np.float32), FACES)
+
+    def pose(self, angle: float, centre: tuple[float, float, float] = (2.0, 1.5, 1.2)) -> np.ndarray:
+        """(4, 4) T_world_camera: level, looking along `angle` in the horizontal plane."""
+        forward = np.array([np.cos(angle), np.sin(angle), 0.0])
+        T = np.eye(4)
+        T[:3, :3] = np.column_stack([np.cross([0.0, 0.0, -1.0], forward), [0.0, 0.0, -1.0], forward])
+        T[:3, 3] = np.array(centre) - 0.4 * forward
+        return T
+
+    def depth(self, T_world_camera: np.ndarray, grow_m: float = 0.0) -> np.ndarray:
+        """(H, W) float64 exact z-depth of the walls, by slabs."""
+        directions = self.camera.rays().numpy().astype(np.float64) @ T_world_camera[:3, :3].T
+        origin = T_world_camera[:3, 3]
+        safe = np.where(np.abs(directions) < 1e-12, 1e-12, directions)
+        far = np.where(safe > 0, ROOM_M + grow_m - origin, -grow_m - origin) / safe
+        return far.min(axis=-1)
+
+
+@pytest.fixture(scope="session")
+def box_room() -> BoxRoom:
+    return BoxRoom()
+
+
+@pytest.fixture
+def make_box_run(tmp_path: Path, box_room: BoxRoom) -> Callable[..., RunDirectory]:
+    """Makes a preprocessed run of the room; sensor `noisy` has Laplace errors whose scale grows with depth."""
+
+    def make(sensors: tuple[str, ...] = ("gt", "noisy"), angles: np.ndarray | None = None) -> RunDirectory:
+        run = RunDirectory(tmp_path / "run")
+        angles = np.linspace(0, 2 * np.pi, 12, endpoint=False) if angles is None else angles
+        poses = [box_room.pose(angle) for angle in angles]
+        records = []
+        for index, pose in enumerate(poses):
+            _write_depths(run, box_room, sensors, index, pose)
+            record = FrameRecord(
+                index=index, source_index=index, timestamp=index, color="none.jpg", sensors=sensors,
+                T_world_camera=pose.tolist(),
+            )  # fmt: skip
+            records.append(record.model_dump_json())
+        write_text(run.frames_path, f"[{','.join(records)}]")
+        box_room.mesh().save(tmp_path / "reference.ply")
+        run.save_manifest(
+            Manifest(
+                dataset="box", dataset_format="none", name="box", camera=box_room.camera.to_dict(), sensors=sensors,
+                has_timestamps=False, reference_mesh=str(tmp_path / "reference.ply"),
+            )
+        )  # fmt: skip
+        run.finish_stage("preprocess", "0", time.time(), {})
+        Trajectory(np.arange(len(poses), dtype=float), np.array(poses)).save(run.reference_trajectory_path)
+        return run
+
+    return make
+
+
+def _write_depths(run: RunDirectory, room: BoxRoom, sensors: tuple[str, ...], index: int, pose: np.ndarray) -> None:
+    true = room.depth(pose)
+    beta = 0.01 * true**2
+    noisy = np.maximum(true + np.random.default_rng(index).laplace(0.0, beta), 0.001)
+    for sensor in sensors:
+        depth = true if sensor == "gt" else noisy
+        write_image(run.depth_path(sensor, index), encode_metres(depth, DEPTH_UNITS_PER_M))
+        if sensor != "gt":
+            write_image(run.beta_path(sensor, index), encode_metres(beta, BETA_UNITS_PER_M))
