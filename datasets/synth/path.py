@@ -65,7 +65,8 @@ class FreeSpace:
         """How far one can look from `point`: a low quantile of distances in a cone, metres."""
         spread = np.stack(np.meshgrid([-0.5, 0, 0.5], [-0.4, 0, 0.4]), -1).reshape(-1, 2)
         forward = np.array([_forward(yaw + dy, pitch + dp) for dy, dp in spread])
-        return float(np.quantile(_cast(self.raycaster, np.tile(point, (9, 1)), forward), 0.25))
+        reach = np.minimum(_cast(self.raycaster, np.tile(point, (9, 1)), forward), 100.0)  # infinite through a window
+        return float(np.quantile(reach, 0.25))
 
 
 def _distance(raycaster, points: np.ndarray) -> np.ndarray:

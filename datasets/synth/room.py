@@ -88,9 +88,9 @@ def _window_wall(b: Builder, length: float, height: float, paper, trim) -> Light
         b.box([0.03, deep, high - low], [x, deep / 2, (low + high) / 2], trim)
     b.box([bar, bar, high - low], [middle, deep - bar / 2, (low + high) / 2], trim)
     b.box([width, bar, bar], [middle, deep - bar / 2, low + 0.6 * (high - low)], trim)
-    center = b._origin + b._rotation @ [middle, 0.3, (low + high) / 2]
-    half_axes = np.array([b._rotation @ [width / 2, 0, 0], [0, 0, (high - low) / 2]])
-    return Light(center, half_axes, np.array([4.2, 4.7, 5.3]))
+    center = b.to_world([middle, 0.3, (low + high) / 2])
+    ends = np.stack([b.to_world([right, 0.3, (low + high) / 2]), b.to_world([middle, 0.3, high])])
+    return Light(center, ends - center, np.array([4.2, 4.7, 5.3]))
 
 
 def _door(b: Builder, x: float, trim) -> None:

@@ -78,6 +78,10 @@ class Builder:
         child._rotation = self._rotation @ np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]])
         return child
 
+    def to_world(self, point) -> np.ndarray:
+        """A point (3,) of this frame in the scene."""
+        return self._rotation @ np.asarray(point, dtype=float) + self._origin
+
     def finish(self, image: np.ndarray, tile_m: float = 0.0) -> Finish:
         """Register a texture."""
         self._parts.textures.append(image)

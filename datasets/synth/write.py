@@ -16,7 +16,7 @@ import numpy as np
 from ...recon.camera import Camera
 from ...recon.errors import ConfigError, RunError
 from ...recon.events import Note, OnEvent, ignore, track_progress
-from ...recon.storage import DEPTH_UNITS_PER_M, encode_metres, write_image, write_text
+from ...recon.storage import DEPTH_UNITS_PER_M, encode_metres, explain_write_errors, write_image, write_text
 from ..poses import OPENGL_TO_OPENCV, Z_UP_FROM_Y_UP
 from . import sensors as active
 from . import stereo
@@ -207,10 +207,12 @@ def _check_free(out: Path, overwrite: bool) -> None:
 
 
 def _clear(out: Path) -> None:
-    """Remove an older data set and nothing else."""
-    shutil.rmtree(out / "1", ignore_errors=True)
-    for name in ("mesh_gt.ply", "synth.json"):
-        (out / name).unlink(missing_ok=True)
+    """Remove an older data set and nothing else; `synth.json` first, because it calls the data set whole."""
+    with explain_write_errors(out):
+        for name in ("synth.json", "mesh_gt.ply"):
+            (out / name).unlink(missing_ok=True)
+        if (out / "1").exists():
+            shutil.rmtree(out / "1")
 
 
 def _facts(frames, size, seed, mesh, up, chosen, loops, contents) -> dict:
