@@ -23,7 +23,6 @@ class SensorFrame:
     """One sensor in one frame; NaN = no reading. depth, beta, error (H, W) metres; beta and error None if unknown."""
 
     index: int
-    color: np.ndarray
     depth: np.ndarray
     beta: np.ndarray | None
     error: np.ndarray | None
@@ -49,7 +48,7 @@ def read_sensor_frame(frames: RunFrames, index: int, sensor: str) -> SensorFrame
     beta = _readings(frames.beta(index, sensor).numpy()) if has_beta else None
     has_truth = GROUND_TRUTH_SENSOR in frames.records[index].sensors and sensor != GROUND_TRUTH_SENSOR
     error = np.abs(depth - _readings(frames.depth(index, GROUND_TRUTH_SENSOR).numpy())) if has_truth else None
-    return SensorFrame(index, frames.color(index).numpy(), depth, beta, error)
+    return SensorFrame(index, depth, beta, error)
 
 
 def spread_frames(frames: RunFrames, sensor: str, count: int) -> list[int]:
@@ -76,7 +75,8 @@ def draw_sensors(run: RunDirectory, out: Path, on_event: OnEvent = ignore) -> li
     written = []
     for sensor, rows in found.items():
         path = out / f"sensor_{sensor}.png"
-        write_bytes(path, sensor_sheet(sensor, rows, scales))
+        colors = [_color(frames, row.index, on_event) for row in rows]
+        write_bytes(path, sensor_sheet(sensor, rows, colors, scales))
         written.append(path)
     return written
 
@@ -90,7 +90,7 @@ def common_scales(rows: list[SensorFrame]) -> SensorScales:
     )
 
 
-def sensor_sheet(sensor: str, rows: list[SensorFrame], scales: SensorScales) -> bytes:
+def sensor_sheet(sensor: str, rows: list[SensorFrame], colors: list[np.ndarray], scales: SensorScales) -> bytes:
     """One row a frame, one column each for colour, depth, beta and true error, as far as they are known; PNG."""
     columns = ["colour", "depth"]
     columns += ["beta: learned scale"] if any(row.beta is not None for row in rows) else []
@@ -100,9 +100,10 @@ def sensor_sheet(sensor: str, rows: list[SensorFrame], scales: SensorScales) -> 
     figure = new_figure(cell * len(columns), (cell * height / width) * len(rows) + 1.2)
     ratios = [*[cell * height / width] * len(rows), 0.13]  # the last row holds the colour bars
     grid = figure.subplots(len(rows) + 1, len(columns), squeeze=False, height_ratios=ratios)
-    for line, row in zip(grid, rows, strict=False):
+    for line, row, color in zip(grid, rows, colors, strict=False):
         for axes, column in zip(line, columns, strict=True):
-            show_picture(axes, _panel(row, column, scales), column if row is rows[0] else "")
+            picture = color if column == "colour" else _panel(row, column, scales)
+            show_picture(axes, picture, column if row is rows[0] else "")
         line[0].set_ylabel(f"frame {row.index}")
     grid[-1, 0].axis("off")
     for axes, column in zip(grid[-1, 1:], columns[1:], strict=True):
@@ -112,9 +113,16 @@ def sensor_sheet(sensor: str, rows: list[SensorFrame], scales: SensorScales) -> 
     return encode_figure(figure)
 
 
+def _color(frames: RunFrames, index: int, on_event: OnEvent) -> np.ndarray:
+    """(H, W, 3) uint8; grey where the colour image cannot be read."""
+    try:
+        return frames.color(index).numpy()
+    except DataError as error:
+        on_event(Warn(str(error)))
+        return np.full((frames.camera.height, frames.camera.width, 3), 128, np.uint8)
+
+
 def _panel(row: SensorFrame, column: str, scales: SensorScales) -> np.ndarray:
-    if column == "colour":
-        return row.color
     if column == "depth":
         return _painted(row.depth, scales.depth)
     return _painted(row.beta if column.startswith("beta") else row.error, scales.error, like=row.depth)
