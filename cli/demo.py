@@ -12,7 +12,8 @@ from .main import COMMANDS, main
 from .options import seed_option
 
 SENSORS = ("sl", "sgm")
-FRAMES, SIZE = 60, 256  # the largest that stays well below five minutes on two cores
+FRAMES, SIZE = 40, 224  # enough for a whole room, and well below five minutes on two cores
+VOXEL_M = 0.03  # about what one pixel covers at 3 m
 
 
 @click.command("demo")
@@ -35,7 +36,7 @@ def command(ctx: click.Context, out: Path, frames: int, size: int, seed: int) ->
     stages = [
         ["synth", str(room), "--frames", str(frames), "--size", str(size), "--seed", str(seed), "--sensors", *SENSORS],
         ["preprocess", str(room), "--run", str(run)],
-        ["map", "--run", str(run), "--sensors", *SENSORS, "--seed", str(seed)],
+        ["map", "--run", str(run), "--sensors", *SENSORS, "--voxel", str(VOXEL_M), "--seed", str(seed)],
         ["mesh", "--run", str(run)],
         ["eval", "--run", str(run)],
         ["report", "--run", str(run)],

@@ -28,8 +28,8 @@ from .views import View
 
 INSTALL_HINT = "sudo apt-get install -y libvulkan1 mesa-vulkan-drivers"
 _START_SECONDS = 30.0  # importing and opening the renderer; it takes 2 to 3
-_SECONDS_PER_PICTURE = 10.0  # it takes 0.5 at 960 x 720 with a software driver
-_TRIANGLES_AT_ONCE = 4_000_000  # triangles that one process may hold, over all its pictures
+_SECONDS_PER_PICTURE = 4.0  # it takes 0.5 at 960 x 720 with a software driver
+_TRIANGLES_AT_ONCE = 2_000_000  # triangles that one process may hold, over all its pictures
 
 
 @cache
@@ -115,21 +115,31 @@ def _work(job: Path) -> None:
         View("", "", Camera(**row["camera"]), np.array(row["T_world_camera"]), row["cut"])
         for row in description["views"]
     ]
+    # All pictures are one geometry, drawn once: each has its own copy of the triangles, set aside so far that no camera
+    # sees the next. With a software driver the renderer can wait for ever where geometries are added or removed one by
+    # one (seen with Open3D 0.19 and Mesa 22.3).
+    reach = max(_farthest(view, geometry.vertices) for view in views)
+    copies = [(index, layer) for index in range(len(views)) for layer in layers]
+    corners, colors = [], []
+    for place, (index, layer) in enumerate(copies):
+        lit = light_triangles(geometry, views[index])
+        corners.append(geometry.vertices[lit.faces].reshape(-1, 3) + place * _aside(reach))
+        colors.append(lit.paint(layer).reshape(-1, 3))
     renderer = _open_renderer(views[0].camera)
-    # Everything is uploaded before the first picture, then shown in turn: with a software driver the renderer can wait
-    # for ever once a geometry was added or removed after a picture (seen with Open3D 0.19 and Mesa 22.3).
-    for index, view in enumerate(views):
-        lit = light_triangles(geometry, view)
-        corners = geometry.vertices[lit.faces].reshape(-1, 3)
-        for layer in layers:
-            _upload(renderer, _picture(job, layer.name, index).stem, corners, lit.paint(layer).reshape(-1, 3))
-    for index, view in enumerate(views):
-        _aim(renderer, view, geometry.vertices)
-        for layer in layers:
-            path = _picture(job, layer.name, index)
-            renderer.scene.show_geometry(path.stem, True)
-            write_image(path, average_down(np.asarray(renderer.render_to_image())[..., :3]))
-            renderer.scene.show_geometry(path.stem, False)
+    _upload(renderer, np.concatenate(corners), np.concatenate(colors))
+    for place, (index, layer) in enumerate(copies):
+        _aim(renderer, views[index], reach, place * _aside(reach))
+        image = np.asarray(renderer.render_to_image())[..., :3]
+        write_image(_picture(job, layer.name, index), average_down(image))
+
+
+def _farthest(view: View, vertices: np.ndarray) -> float:
+    return float(np.linalg.norm(vertices - view.T_world_camera[:3, 3], axis=1).max())
+
+
+def _aside(reach: float) -> np.ndarray:
+    """(3,) float32 from one copy to the next: beyond what a camera sees that has the scene within `reach` metres."""
+    return np.array([3.0 * reach, 0.0, 0.0], np.float32)
 
 
 def _open_renderer(camera: Camera):
@@ -141,20 +151,20 @@ def _open_renderer(camera: Camera):
     return renderer
 
 
-def _aim(renderer, view: View, vertices: np.ndarray) -> None:
+def _aim(renderer, view: View, reach: float, aside: np.ndarray) -> None:
     camera = view.camera.resized(view.camera.width * SUPERSAMPLING, view.camera.height * SUPERSAMPLING)
     intrinsic = camera.matrix
     intrinsic[:2, 2] += 0.5  # Open3D's renderer counts pixels from their corner
-    farthest = float(np.linalg.norm(vertices - view.T_world_camera[:3, 3], axis=1).max())
     renderer.scene.camera.set_projection(
-        intrinsic, max(0.01, farthest * 1e-4), farthest * 1.1 + 0.1, float(camera.width), float(camera.height)
+        intrinsic, max(0.01, reach * 1e-4), reach * 1.05, float(camera.width), float(camera.height)
     )
-    eye, forward, down = view.T_world_camera[:3, 3], view.T_world_camera[:3, 2], view.T_world_camera[:3, 1]
+    eye = view.T_world_camera[:3, 3] + aside
+    down, forward = view.T_world_camera[:3, 1], view.T_world_camera[:3, 2]
     renderer.scene.camera.look_at(eye + forward, eye, -down)
 
 
-def _upload(renderer, name: str, corners: np.ndarray, colors: np.ndarray) -> None:
-    """Hand over loose triangles, hidden: corners (3K, 3) painted with colors (3K, 3) 0..255."""
+def _upload(renderer, corners: np.ndarray, colors: np.ndarray) -> None:
+    """Hand over loose triangles: corners (3K, 3) painted with colors (3K, 3) 0..255."""
     import open3d as o3d
 
     if len(corners) == 0:  # an empty geometry is an error there; one degenerate triangle shows as little
@@ -165,8 +175,7 @@ def _upload(renderer, name: str, corners: np.ndarray, colors: np.ndarray) -> Non
     triangles.vertex_colors = o3d.utility.Vector3dVector(np.clip(colors / 255.0, 0, 1).astype(np.float64))
     material = o3d.visualization.rendering.MaterialRecord()
     material.shader = "defaultUnlit"
-    renderer.scene.add_geometry(name, triangles, material)
-    renderer.scene.show_geometry(name, False)
+    renderer.scene.add_geometry("triangles", triangles, material)
 
 
 if __name__ == "__main__":
