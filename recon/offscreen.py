@@ -115,20 +115,22 @@ def _work(job: Path) -> None:
         View("", "", Camera(**row["camera"]), np.array(row["T_world_camera"]), row["cut"])
         for row in description["views"]
     ]
-    # All pictures are one geometry, drawn once: each has its own copy of the triangles, set aside so far that no camera
-    # sees the next. With a software driver the renderer can wait for ever where geometries are added or removed one by
-    # one (seen with Open3D 0.19 and Mesa 22.3).
-    reach = max(_farthest(view, geometry.vertices) for view in views)
+    # All pictures are one geometry, uploaded once: each has its own copy of the triangles in the axes of its camera,
+    # set aside so far that no camera sees the next. With a software driver the renderer can wait for ever where geometries
+    # are added or removed one by one (seen with Open3D 0.19 and Mesa 22.3).
     copies = [(index, layer) for index in range(len(views)) for layer in layers]
+    reach = max(_farthest(view, geometry.vertices) for view in views)
+    aside = np.array([reach * (1.1 + max(_half_width_tangent(view.camera) for view in views)), 0.0, 0.0])
     corners, colors = [], []
     for place, (index, layer) in enumerate(copies):
-        lit = light_triangles(geometry, views[index])
-        corners.append(geometry.vertices[lit.faces].reshape(-1, 3) + place * _aside(reach))
+        lit, T_world_camera = light_triangles(geometry, views[index]), views[index].T_world_camera
+        local = (geometry.vertices - T_world_camera[:3, 3]) @ T_world_camera[:3, :3]
+        corners.append(local[lit.faces].reshape(-1, 3) + place * aside)
         colors.append(lit.paint(layer).reshape(-1, 3))
     renderer = _open_renderer(views[0].camera)
     _upload(renderer, np.concatenate(corners), np.concatenate(colors))
     for place, (index, layer) in enumerate(copies):
-        _aim(renderer, views[index], reach, place * _aside(reach))
+        _aim(renderer, views[index].camera, place * aside, reach)
         image = np.asarray(renderer.render_to_image())[..., :3]
         write_image(_picture(job, layer.name, index), average_down(image))
 
@@ -137,9 +139,8 @@ def _farthest(view: View, vertices: np.ndarray) -> float:
     return float(np.linalg.norm(vertices - view.T_world_camera[:3, 3], axis=1).max())
 
 
-def _aside(reach: float) -> np.ndarray:
-    """(3,) float32 from one copy to the next: beyond what a camera sees that has the scene within `reach` metres."""
-    return np.array([3.0 * reach, 0.0, 0.0], np.float32)
+def _half_width_tangent(camera: Camera) -> float:
+    return max(camera.cx + 0.5, camera.width - camera.cx - 0.5) / camera.fx
 
 
 def _open_renderer(camera: Camera):
@@ -151,16 +152,15 @@ def _open_renderer(camera: Camera):
     return renderer
 
 
-def _aim(renderer, view: View, reach: float, aside: np.ndarray) -> None:
-    camera = view.camera.resized(view.camera.width * SUPERSAMPLING, view.camera.height * SUPERSAMPLING)
-    intrinsic = camera.matrix
+def _aim(renderer, camera: Camera, eye: np.ndarray, reach: float) -> None:
+    """Look along z from `eye` (3,), y down, as far as `reach` metres."""
+    fine = camera.resized(camera.width * SUPERSAMPLING, camera.height * SUPERSAMPLING)
+    intrinsic = fine.matrix
     intrinsic[:2, 2] += 0.5  # Open3D's renderer counts pixels from their corner
     renderer.scene.camera.set_projection(
-        intrinsic, max(0.01, reach * 1e-4), reach * 1.05, float(camera.width), float(camera.height)
+        intrinsic, max(0.01, reach * 1e-4), reach * 1.05, float(fine.width), float(fine.height)
     )
-    eye = view.T_world_camera[:3, 3] + aside
-    down, forward = view.T_world_camera[:3, 1], view.T_world_camera[:3, 2]
-    renderer.scene.camera.look_at(eye + forward, eye, -down)
+    renderer.scene.camera.look_at(eye + np.array([0.0, 0.0, 1.0]), eye, np.array([0.0, -1.0, 0.0]))
 
 
 def _upload(renderer, corners: np.ndarray, colors: np.ndarray) -> None:

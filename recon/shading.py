@@ -74,6 +74,8 @@ def light_triangles(geometry: Geometry, view: View) -> LitTriangles:
     front = np.einsum("fx,fx->f", geometry.face_normals, geometry.vertices[geometry.faces[:, 0]] - eye) < 0
     if view.cut == "back":
         shown = front
+    elif view.cut == "front":
+        shown = ~front
     elif view.cut == "near_sides":
         shown = ~_on_near_sides(geometry, eye)
     else:

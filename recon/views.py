@@ -16,7 +16,7 @@ _BACK_OFF = 0.4  # share of the median viewing distance by which a run's camera 
 _AXIS_SNAP = np.cos(np.radians(10.0))  # an up direction this close to a world axis is that axis
 
 
-Cut = Literal["back", "near_sides", "nothing"]
+Cut = Literal["back", "front", "near_sides", "nothing"]
 
 
 @dataclass(frozen=True)
@@ -25,8 +25,9 @@ class View:
 
     camera           pinhole of the picture
     T_world_camera   (4, 4) float64, OpenCV axes
-    cut              what is left out so that a room shows its inside: triangles seen from behind, or (where the
-                     mesh has no consistent front) walls and ceiling on the sides that the viewer stands on
+    cut              what is left out so that a room shows its inside: triangles seen from behind (from the front,
+                     where the mesh is inside out), or, where it has no consistent front, walls and ceiling on the
+                     sides that the viewer stands on
     """
 
     name: str
@@ -119,11 +120,14 @@ def run_views(
     forward -= (forward @ up) * up  # seen surfaces face the cameras, so look the way they looked, from further up
     forward = forward / np.linalg.norm(forward) if np.linalg.norm(forward) > 0.05 else horizontal_axes(up)[0]
     downward = forward - 1.3 * up
-    if _is_mixed(front_share(vertices, faces, *_rays_of_cameras(poses, tangent))):
+    share = front_share(vertices, faces, *_rays_of_cameras(poses, tangent))
+    if _is_mixed(share):
         overview = framed_view("overview", "overview", points, downward, up, size)
         return [*(replace(view, cut="nothing") for view in views), replace(overview, cut="near_sides")]
-    shown = framing_points(vertices, _front_faces(vertices, faces, downward))
-    return [*views, framed_view("overview", "overview", shown, downward, up, size)]
+    inside_out = share < 0.5
+    shown = framing_points(vertices, _front_faces(vertices, faces, -downward if inside_out else downward))
+    views.append(framed_view("overview", "overview", shown, downward, up, size))
+    return [replace(view, cut="front") for view in views] if inside_out else views
 
 
 def spread_poses(poses: np.ndarray, count: int) -> list[int]:

@@ -10,8 +10,8 @@ from uncle.recon.events import Note, Warn
 from uncle.recon.mesh_io import Mesh
 from uncle.recon.run import RunDirectory
 from uncle.recon.shading import Geometry, light_triangles
-from uncle.recon.snapshot import draw_mesh, load_run_mesh, snapshot_views, surface_distance
-from uncle.recon.views import View, guess_up, mesh_views, spread_poses, trajectory_up
+from uncle.recon.snapshot import RENDERERS, draw_mesh, load_run_mesh, snapshot_views, surface_distance
+from uncle.recon.views import View, guess_up, mesh_views, run_views, spread_poses, trajectory_up
 
 CAMERA = Camera(160, 120, 120.0, 120.0, 79.5, 59.5)
 BOX_FACES = np.array(
@@ -63,13 +63,30 @@ def test_off_centre_box_is_where_the_camera_projects_it(renderer):
     assert rows.mean() == pytest.approx(-0.2 / 1.95 * 120 + 59.5, abs=1.5)
 
 
-def test_renderers_agree():
+def test_renderers_agree_in_every_view_and_mode():
     if not offscreen.is_available():
         pytest.skip("Open3D's OffscreenRenderer does not run here")
-    mesh = box((0.3, 0.1, 2.0), 0.4)
-    view = looking_ahead("nothing")
-    first, second = (picture(mesh, "shaded", name, view).astype(int) for name in ("raycast", "offscreen"))
-    assert np.abs(first - second).mean() < 1.0
+    room, thing = box((0, 0, 0), 2.0, (90, 160, 90), inward=True), box((0.8, 0.3, -1.2), 0.4)
+    mesh = Mesh(
+        np.concatenate([room.vertices, thing.vertices]), np.concatenate([room.faces, thing.faces + 8]),
+        np.concatenate([room.colors, thing.colors]),
+    )  # fmt: skip
+    views = mesh_views(mesh.vertices, mesh.faces, (160, 120))
+    modes = ["shaded", "color"]
+    for first, second in zip(*(draw_mesh(mesh, views, modes, None, name) for name in RENDERERS[1:]), strict=True):
+        for one, other in zip(first.pictures, second.pictures, strict=True):
+            difference = np.abs(one.astype(int) - other).max(-1)
+            assert np.median(difference) <= 1
+            assert (difference > 40).mean() < 0.02, "more than edges differ"
+
+
+@pytest.mark.parametrize(("inward", "cut"), [(True, "back"), (False, "front")])
+def test_mesh_that_is_inside_out_is_shown_all_the_same(box_room, inward, cut):
+    room = box((2.0, 1.5, 1.25), 1.5, inward=inward)
+    poses = np.array([box_room.pose(angle) for angle in (0, 1, 2, 3)])
+    views = run_views(poses, box_room.camera, room.vertices, room.faces, (64, 48))
+    assert {view.cut for view in views} == {cut}
+    assert all((picture(room, "color", view=view)[24, 32] != 255).any() for view in views)
 
 
 def test_error_picture_shows_the_colour_of_two_centimetres(renderer):
