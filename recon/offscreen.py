@@ -116,8 +116,8 @@ def _work(job: Path) -> None:
         for row in description["views"]
     ]
     # All pictures are one geometry, uploaded once: each has its own copy of the triangles in the axes of its camera,
-    # set aside so far that no camera sees the next. With a software driver the renderer can wait for ever where geometries
-    # are added or removed one by one (seen with Open3D 0.19 and Mesa 22.3).
+    # set aside so far that no camera sees the next. With a software driver the renderer can wait for ever where
+    # geometries are added or removed one by one (seen with Open3D 0.20 and Mesa 22.3).
     copies = [(index, layer) for index in range(len(views)) for layer in layers]
     reach = max(_farthest(view, geometry.vertices) for view in views)
     aside = np.array([reach * (1.1 + max(_half_width_tangent(view.camera) for view in views)), 0.0, 0.0])

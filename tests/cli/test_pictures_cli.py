@@ -90,7 +90,7 @@ def recorded(monkeypatch):
 
 
 def test_demo_announces_and_runs_the_chain(recorded, tmp_path):
-    result = CliRunner().invoke(demo.command, ["--out", str(tmp_path / "d"), "--frames", "5", "--size", "64"])
+    result = uncle("demo", "--out", tmp_path / "d", "--frames", "5", "--size", "64")
     assert result.exit_code == 0, result.output
     assert [call[0] for call in recorded] == ["synth", "preprocess", "map", "mesh", "eval", "report"]
     assert all(f"[{number}/6]" in result.stderr for number in range(1, 7))
@@ -102,12 +102,12 @@ def test_second_demo_keeps_the_room_unless_it_is_another(recorded, tmp_path):
     facts = {"parameters": {"frames": 5, "size_px": 64, "seed": 0, "mesh": None}}
     (tmp_path / "room").mkdir()
     (tmp_path / "room" / "synth.json").write_text(json.dumps(facts))
-    arguments = ["--out", str(tmp_path), "--frames", "5", "--size", "64"]
-    assert CliRunner().invoke(demo.command, arguments).exit_code == 0
+    arguments = ["demo", "--out", tmp_path, "--frames", "5", "--size", "64"]
+    assert uncle(*arguments).exit_code == 0
     assert [call[0] for call in recorded] == ["preprocess", "map", "mesh", "eval", "report"]
     assert not any("--overwrite" in call for call in recorded)
     recorded.clear()
-    assert CliRunner().invoke(demo.command, [*arguments, "--seed", "1"]).exit_code == 0
+    assert uncle(*arguments, "--seed", "1").exit_code == 0
     assert recorded[0][0] == "synth"
 
 
