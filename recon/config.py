@@ -21,6 +21,7 @@ class FusionConfig(_Strict):
     voxel_size_m: float = Field(0.02, gt=0.001, le=0.5)
     truncation_voxels: float = Field(4.0, ge=2.0, le=16.0)
     max_depth_m: float = Field(6.0, gt=0.1)
+    blur_voxels: float = Field(0.25, ge=0)  # what the grid itself cannot resolve, added to beta in the weights
     min_readings: float = Field(3.0, ge=1.0)  # a sample seen less often is not part of the surface
     sweeps: int = Field(2, ge=0)  # fusions of all frames after the first one, each with what was learned before it
 
@@ -49,8 +50,8 @@ class FieldConfig(_Strict):
     """The neural field and its refinement by rendering."""
 
     iterations: int = Field(300, ge=0)
-    rays: int = Field(4096, ge=64)
-    samples: int = Field(12, ge=4)
+    rays: int = Field(2048, ge=64)
+    samples: int = Field(8, ge=4)
     levels: tuple[int, ...] = (4, 12)  # cell sizes of the feature grids, in voxels
     channels: int = Field(4, ge=1)
     hidden: int = Field(24, ge=4)

@@ -12,11 +12,11 @@ from typing import Any
 
 import torch
 from torch import Tensor, nn
-from torch.nn.functional import embedding_bag
 
 from .config import FieldConfig
 from .fusion import FusionVolume
 from .grid import ROWS, SparseGrid, unique_blocks
+from .interpolation import weighted_rows
 
 ACTIVE_VOXELS = 3.0  # samples this close to the surface can be moved
 
@@ -34,7 +34,7 @@ class FeatureLevel(nn.Module):
         """(N, 3) -> (N, C)."""
         rows, weights = self.grid.trilinear(points)
         weights = weights * (rows >= 0)
-        return embedding_bag(rows.clamp(min=0), self.features, mode="sum", per_sample_weights=weights)
+        return weighted_rows(self.features, rows.clamp(min=0), weights)
 
 
 class NeuralField(nn.Module):
@@ -78,7 +78,7 @@ class NeuralField(nn.Module):
         known = ((rows >= 0) & self.known[rows.clamp(min=0)]).all(1)
         rows = rows.clamp(min=0)
         fixed = (self.base[rows] * weights[..., None]).sum(1)
-        fine = embedding_bag(self.slot[rows], self.fine, mode="sum", per_sample_weights=weights)
+        fine = weighted_rows(self.fine, self.slot[rows], weights)
         values = fixed + fine + self.correction(points)
         values = values * known[:, None]
         return values[:, 0], values[:, 1:], known

@@ -16,6 +16,7 @@ from .grid import BLOCK, ROWS, SparseGrid
 _TILE = 16  # pixels: occlusion is decided on tiles
 _BLOCKS_AT_A_TIME = 2048
 _MIN_Z_M = 0.05
+_SPARE = 1.5
 SHARED_ERROR = 0.15
 MIN_SIGMA_M = 1e-3
 
@@ -97,8 +98,8 @@ class FusionVolume:
     def _grow(self) -> None:
         missing = self.grid.rows - len(self.sums)
         if missing > 0:
-            self.sums = torch.cat([self.sums, self.sums.new_zeros(missing, 4)])
-            self.color_sums = torch.cat([self.color_sums, self.color_sums.new_zeros(missing, 4)])
+            self.sums = _extended(self.sums, self.grid.rows)
+            self.color_sums = _extended(self.color_sums, self.grid.rows)
 
     def _visible(self, depth: Tensor, T_camera_world: Tensor) -> Tensor:
         """Ids of the blocks that are in view and not wholly behind what the image shows."""
@@ -135,3 +136,13 @@ class FusionVolume:
         samples, pixels = samples[kept], pixels[kept]
         rows = ids[samples // ROWS] * ROWS + samples % ROWS
         return rows, pixels, sdf[kept].clamp(max=self.truncation_m)
+
+
+def _extended(rows: Tensor, count: int) -> Tensor:
+    """`rows` (R, C) with zeros appended up to `count`; takes spare room with each copy, so that copies are few."""
+    spare = rows.untyped_storage().nbytes() // (rows.element_size() * rows.shape[1])
+    if spare >= count:
+        return rows.new_empty(0).set_(rows.untyped_storage(), 0, (count, rows.shape[1]))
+    room = rows.new_zeros(int(count * _SPARE) + ROWS, rows.shape[1])
+    room[: len(rows)] = rows
+    return room[:count]

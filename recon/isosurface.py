@@ -64,7 +64,7 @@ def _tile_surface(sdf: np.ndarray, known: np.ndarray) -> tuple[np.ndarray, np.nd
     filled = np.where(known, sdf, 1.0)
     if not cells.any() or filled.min() >= 0 or filled.max() <= 0:
         return np.zeros((0, 3)), np.zeros((0, 3), np.int64)
-    vertices, faces, _, _ = marching_cubes(filled, 0.0, gradient_direction="ascent")
+    vertices, faces, _, _ = marching_cubes(filled, 0.0, gradient_direction="descent")
     x, y, z = np.clip(np.floor(vertices[faces].mean(1)).astype(int), 0, _SIDE - 1).T
     used, faces = np.unique(faces[cells[x, y, z]], return_inverse=True)
     return vertices[used].astype(np.float64), faces.reshape(-1, 3)

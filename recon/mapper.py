@@ -58,9 +58,18 @@ class Mapper:
             depth, weight = depth.to(self.device), None
             if self.config.uncertainty.enabled:
                 betas[sensor] = self.noise[sensor].beta_image(depth, features[sensor].to(self.device))
-                weight = (WEIGHT_SCALE_M / betas[sensor].clamp(min=1e-6)).square()
+                weight = self.weight(betas[sensor])
             self.volume.integrate(depth, weight, color, T_world_camera)
         return betas
+
+    def weight(self, beta: Tensor) -> Tensor:
+        """beta (...) metres -> (...) fusion weight: inverse variance of the reading on this map.
+
+        A voxel cannot show more than its size, so its own blur adds to the noise of the sensor; without it the few
+        sharpest readings would outvote all others.
+        """
+        blur = self.config.fusion.blur_voxels * self.config.fusion.voxel_size_m
+        return WEIGHT_SCALE_M**2 / (beta.square() + blur**2).clamp(min=1e-8)
 
     def features(self, frame: Frame, normals: dict[str, Tensor]) -> dict[str, Tensor]:
         """(H, W, F) input of h_w for each sensor; nothing if the uncertainty is off."""
@@ -101,7 +110,7 @@ class Mapper:
         points = rays["origins"][used] + rays["directions"][used] * hit[used, None]
         rows = self.volume.grid.nearest_rows(points)
         total = self.volume.sums[rows.clamp(min=0), 0]
-        own = (WEIGHT_SCALE_M / model(features[used].float())).square()
+        own = self.weight(model(features[used].float()))
         share = (own / total.clamp(min=1e-9)).clamp(max=1.0)
         residual = (depth[used] - hit[used]).abs()
         near = residual < self.volume.truncation_m  # a reading further off had no say at this sample

@@ -1,4 +1,4 @@
-"""Refinement of the neural field by its rendering likelihood, together with the uncertainty that weighs it."""
+"""Refinement of the neural field by its rendering likelihood, weighed by the learned uncertainty."""
 
 from __future__ import annotations
 
@@ -18,7 +18,6 @@ from .uncertainty import NoiseModel
 
 SPAN_VOXELS = 2.5  # samples reach this far before and behind the present surface
 SHARPNESS_VOXELS = 0.7
-BETA_LEARNING_RATE = 1e-3
 _FINAL_RATE = 0.05  # share of the learning rate that is left at the end
 
 
@@ -60,7 +59,8 @@ def refine(
 ) -> list[float]:
     """Minimise the paper's mapping loss over all keyframe rays; returns the mean negative log-likelihood per step, nats.
 
-    sum over sensors of |D_s - D_hat| / beta_s + log(2 beta_s), plus the colour term. Field and h_w move together.
+    sum over sensors of |D_s - D_hat| / beta_s + log(2 beta_s), plus the colour term. h_w stays as it was learned: the
+    field comes to fit its own rays, and a beta that followed those residuals would promise too much.
     """
     if config.iterations == 0 or len(rays) == 0:
         return []
@@ -68,7 +68,7 @@ def refine(
     usable = (surface > 0).nonzero()[:, 0]
     if len(usable) == 0:
         return []
-    optimizer = _optimizer(field, noise, config)
+    optimizer = _optimizer(field, config)
     rates = [group["lr"] for group in optimizer.param_groups]
     losses = []
     steps = range(config.iterations)
@@ -86,11 +86,10 @@ def refine(
     return losses
 
 
-def _optimizer(field: NeuralField, noise: dict[str, NoiseModel], config: FieldConfig) -> torch.optim.Adam:
+def _optimizer(field: NeuralField, config: FieldConfig) -> torch.optim.Adam:
     groups = [
         {"params": [field.fine], "lr": config.learning_rate_sdf_m},
         {"params": [*field.levels.parameters(), *field.decoder.parameters()], "lr": config.learning_rate},
-        {"params": [p for model in noise.values() for p in model.parameters()], "lr": BETA_LEARNING_RATE},
     ]
     return torch.optim.Adam(groups)
 
@@ -108,7 +107,8 @@ def _loss(field, rays, noise, config, batch, z) -> tuple[Tensor, Tensor]:
     total, count = rendered.depth.new_zeros(()), rendered.depth.new_zeros(())
     for column, model in enumerate(noise.values()):
         used = rendered.known & (depths[:, column] > 0)
-        beta = model(features[used, column].float())
+        with torch.no_grad():
+            beta = model(features[used, column].float())
         total = total + laplace_nll(depths[used, column] - rendered.depth[used], beta).sum()
         count = count + used.sum()
     likelihood = total / count.clamp(min=1)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import torch
 
+from .camera import Camera
 from .config import MapConfig
 from .events import OnEvent, Progress, ignore
 from .field import NeuralField
@@ -27,7 +28,7 @@ def fuse_open3d(
         ("tsdf", "weight", "color"), (float32, float32, float32), ((1), (1), (3)),
         config.fusion.voxel_size_m, _RESOLUTION, _START_BLOCKS, device,
     )  # fmt: skip
-    intrinsic = o3d.core.Tensor(frames.camera.matrix)
+    intrinsic = o3d.core.Tensor(_corner_matrix(frames.camera))
     reach, truncation = config.fusion.max_depth_m, config.fusion.truncation_voxels
     tracker, poses = GivenPoses(), {}
     for done, frame in enumerate(frames.stream(indices)):
@@ -46,6 +47,13 @@ def fuse_open3d(
             volume.integrate(blocks, depth, color, intrinsic, intrinsic, extrinsic, 1.0, reach, truncation)
     on_event(Progress("fusing", len(indices), len(indices)))
     return _to_field(volume, config), poses
+
+
+def _corner_matrix(camera: Camera) -> np.ndarray:
+    """Intrinsics for Open3D's fusion, which cuts pixel coordinates down to integers: pixel centres lie at +0.5 there."""
+    matrix = camera.matrix
+    matrix[:2, 2] += 0.5
+    return matrix
 
 
 def _to_field(volume, config: MapConfig) -> NeuralField:
