@@ -62,7 +62,7 @@ def _tile_surface(sdf: np.ndarray, known: np.ndarray) -> tuple[np.ndarray, np.nd
     for x, y, z in np.ndindex(2, 2, 2):
         cells &= known[x : x + _SIDE, y : y + _SIDE, z : z + _SIDE]
     filled = np.where(known, sdf, 1.0)
-    if not cells.any() or filled.min() >= 0 or filled.max() <= 0:
+    if not cells.any() or filled.min() > 0 or filled.max() <= 0:  # a 0 beside a positive value is a surface
         return np.zeros((0, 3)), np.zeros((0, 3), np.int64)
     vertices, faces, _, _ = marching_cubes(filled, 0.0, gradient_direction="descent")
     x, y, z = np.clip(np.floor(vertices[faces].mean(1)).astype(int), 0, _SIDE - 1).T
