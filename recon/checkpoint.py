@@ -14,11 +14,11 @@ from .storage import atomic_path
 
 def save_tensors(path: Path, state: dict[str, Any]) -> None:
     """`torch.save` of plain tensors and containers, in one piece. Raises RunError."""
-    with atomic_path(path) as temporary:
+    with atomic_path(path) as temporary, open(temporary, "wb") as file:
         try:
-            torch.save(state, temporary)
-        except RuntimeError as error:  # torch hides a full disk behind a RuntimeError of its archive writer
-            raise OSError(28, "the disk is full") if "write" in str(error).lower() else error from error
+            torch.save(state, file)
+        except RuntimeError as error:  # the archive writer's own complaint hides the file's error, such as a full disk
+            raise error.__context__ if isinstance(error.__context__, OSError) else error from None
 
 
 def load_tensors(path: Path, device: torch.device | str = "cpu") -> dict[str, Any]:
@@ -28,7 +28,7 @@ def load_tensors(path: Path, device: torch.device | str = "cpu") -> dict[str, An
     except FileNotFoundError as error:
         raise RunError(f"there is no {path}; run `uncle map` first") from error
     except Exception as error:
-        raise RunError(f"cannot read {path} ({error}); redo it with `uncle map --overwrite`") from error
+        raise RunError(f"cannot read {path}: it is damaged; redo it with `uncle map --overwrite`") from error
 
 
 class Checkpoint:
