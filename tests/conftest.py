@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from uncle.recon.camera import Camera
 from uncle.recon.mesh_io import Mesh
+from uncle.recon.recording import encode_normals
 from uncle.recon.run import FrameRecord, Manifest, RunDirectory
 from uncle.recon.storage import BETA_UNITS_PER_M, DEPTH_UNITS_PER_M, encode_metres, write_image, write_text
 from uncle.recon.trajectory import Trajectory
@@ -47,6 +48,15 @@ class BoxRoom:
         far = np.where(safe > 0, ROOM_M + grow_m - origin, -grow_m - origin) / safe
         return far.min(axis=-1)
 
+    def normals(self, T_world_camera: np.ndarray) -> np.ndarray:
+        """(H, W, 3) float32 exact unit normals of the walls in camera axes, towards the camera."""
+        points = self.camera.rays().numpy() * self.depth(T_world_camera)[..., None]
+        points = points @ T_world_camera[:3, :3].T + T_world_camera[:3, 3]
+        gaps = np.stack([points, ROOM_M - points], axis=-1).reshape(*points.shape[:2], 6)  # x low, x high, y low ...
+        wall = np.abs(gaps).argmin(-1)
+        inwards = np.eye(3)[wall // 2] * np.where(wall % 2 == 0, 1.0, -1.0)[..., None]
+        return (inwards @ T_world_camera[:3, :3]).astype(np.float32)
+
 
 @pytest.fixture(scope="session")
 def box_room() -> BoxRoom:
@@ -79,6 +89,22 @@ def make_box_run(tmp_path: Path, box_room: BoxRoom) -> Callable[..., RunDirector
         )  # fmt: skip
         run.finish_stage("preprocess", "0", time.time(), {})
         Trajectory(np.arange(len(poses), dtype=float), np.array(poses)).save(run.reference_trajectory_path)
+        return run
+
+    return make
+
+
+@pytest.fixture
+def make_mappable_run(make_box_run: Callable[..., RunDirectory], box_room: BoxRoom) -> Callable[..., RunDirectory]:
+    """The run of `make_box_run` with colours and exact normals, which is all that `uncle map` reads."""
+
+    def make(sensors: tuple[str, ...] = ("gt", "noisy"), angles: np.ndarray | None = None) -> RunDirectory:
+        run = make_box_run(sensors, angles)
+        poses = Trajectory.load(run.reference_trajectory_path).T_world_camera
+        for index, pose in enumerate(poses):
+            for sensor in sensors:
+                write_image(run.normal_path(sensor, index), encode_normals(box_room.normals(pose)))
+        write_image(run.color_path("none.jpg"), np.full((120, 160, 3), (200, 120, 60), np.uint8))
         return run
 
     return make

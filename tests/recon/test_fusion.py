@@ -1,0 +1,191 @@
+"""Fusion against exact distances, a slow reference that takes one voxel after another, and Open3D."""
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+import torch
+from uncle.recon.camera import Camera
+from uncle.recon.config import make_config
+from uncle.recon.fusion import MIN_SIGMA_M, SHARED_ERROR, FusionVolume
+from uncle.recon.grid import ROWS, SparseGrid
+from uncle.recon.mapper import Mapper
+from uncle.recon.recording import RunFrames
+from uncle.recon.run import RunDirectory
+from uncle.recon.tsdf import fuse_open3d
+
+CAMERA = Camera(80, 60, 60.0, 60.0, 39.5, 29.5)
+VOXEL, TRUNCATION = 0.05, 0.2
+
+
+def make_volume(camera: Camera = CAMERA, max_depth_m: float = 5.0) -> FusionVolume:
+    return FusionVolume(SparseGrid(VOXEL), camera, TRUNCATION, max_depth_m)
+
+
+def positions(volume: FusionVolume) -> torch.Tensor:
+    return volume.grid.block_positions(torch.arange(len(volume.grid.blocks))).view(-1, 3)
+
+
+def plane(depth_m: float) -> torch.Tensor:
+    return torch.full((60, 80), depth_m)
+
+
+def fused(*readings: tuple[float, float | None]) -> FusionVolume:
+    """Planes at the given depths with the given weights, seen from the origin."""
+    volume = make_volume()
+    for depth, _ in readings:
+        volume.allocate(plane(depth), torch.eye(4))
+    for depth, weight in readings:
+        volume.integrate(plane(depth), None if weight is None else plane(weight), None, torch.eye(4))
+    return volume
+
+
+def test_frontal_plane_has_exact_distances():
+    volume = fused((2.0, None))
+    z = positions(volume)[:, 2]
+    seen = volume.counts() > 0
+    assert seen.sum() > 5000
+    torch.testing.assert_close(volume.sdf()[seen], (2.0 - z[seen]).clamp(max=TRUNCATION), atol=1e-6, rtol=0)
+    assert not seen[z > 2.0 + TRUNCATION + 1e-4].any()  # nothing behind the truncation
+    u, v, _ = CAMERA.project(positions(volume))
+    in_view = (u > 0) & (u < 79) & (v > 0) & (v < 59) & (z < 2.0 + TRUNCATION - 1e-4)
+    assert seen[in_view].all()
+    assert (volume.sdf()[~seen] == 0).all()
+
+
+def test_a_reading_speaks_for_the_free_space_before_it():
+    """A near wall mapped first, then found to be absent by a farther one: its blocks turn free."""
+    volume = fused((1.5, None), (3.0, None), (3.0, None))
+    z = positions(volume)[:, 2]
+    near = ((z - 1.5).abs() < 0.05) & (volume.counts() == 3)
+    assert near.any()
+    expected = ((1.5 - z[near]) + 2 * TRUNCATION) / 3
+    torch.testing.assert_close(volume.sdf()[near], expected, atol=1e-6, rtol=0)
+
+
+def test_weighted_mean_spread_count_and_sigma():
+    volume = fused((2.0, 3.0), (2.1, 1.0))
+    z = positions(volume)[:, 2]
+    both = (volume.counts() == 2) & ((z - 2.05).abs() < 0.04)
+    assert both.any()
+    torch.testing.assert_close(volume.sdf()[both], 2.025 - z[both], atol=1e-5, rtol=0)
+    spread = 0.1 * (0.75 * 0.25) ** 0.5
+    torch.testing.assert_close(volume.spread()[both], torch.full_like(z[both], spread), atol=1e-4, rtol=0)
+    sigma = spread * (SHARED_ERROR + (1 - SHARED_ERROR) / 2) ** 0.5
+    torch.testing.assert_close(volume.sigma()[both], torch.full_like(z[both], sigma), atol=1e-4, rtol=0)
+    assert volume.sigma().min() >= MIN_SIGMA_M * 0.999
+
+
+def test_readings_out_of_reach_and_holes_take_no_part():
+    volume = make_volume(max_depth_m=1.9)
+    volume.allocate(plane(1.5), torch.eye(4))
+    volume.integrate(plane(2.0), None, None, torch.eye(4))
+    volume.integrate(plane(0.0), None, None, torch.eye(4))
+    assert (volume.counts() == 0).all()
+    blocks = len(volume.grid.blocks)
+    volume.allocate(plane(2.0), torch.eye(4))
+    volume.allocate(plane(0.0), torch.eye(4))
+    assert len(volume.grid.blocks) == blocks
+
+
+def test_colour_is_the_weighted_mean_near_the_surface():
+    volume = make_volume()
+    volume.allocate(plane(2.0), torch.eye(4))
+    for weight, rgb in ((1.0, (255, 0, 51)), (3.0, (0, 255, 51))):
+        color = torch.tensor(rgb, dtype=torch.uint8).expand(60, 80, 3)
+        volume.integrate(plane(2.0), plane(weight), color, torch.eye(4))
+    z = positions(volume)[:, 2]
+    seen = volume.counts() > 0
+    near = seen & ((z - 2.0).abs() < 0.4 * TRUNCATION)
+    torch.testing.assert_close(volume.colors()[near], torch.tensor([0.25, 0.75, 0.2]).expand(int(near.sum()), 3))
+    assert (volume.colors()[~seen] == 0.5).all()
+
+
+def test_growth_and_reset_keep_sums_in_their_rows():
+    volume = fused((2.0, None))
+    before, rows = volume.sums.clone(), volume.grid.rows
+    for depth in (1.0, 1.4, 3.0, 4.0):  # several copies into larger tables
+        volume.allocate(plane(depth), torch.eye(4))
+        assert len(volume.sums) == len(volume.color_sums) == volume.grid.rows
+    assert volume.grid.rows > 2 * rows
+    torch.testing.assert_close(volume.sums[:rows], before)
+    assert (volume.sums[rows:] == 0).all()
+    volume.reset()
+    assert (volume.sums == 0).all()
+    volume.allocate(plane(4.9), torch.eye(4))
+    assert (volume.sums == 0).all()
+
+
+def test_every_reading_gets_blocks(box_room):
+    volume = FusionVolume(SparseGrid(0.02), box_room.camera, 0.08, 6.0)
+    pose = box_room.pose(0.4)
+    depth = box_room.depth(pose)
+    volume.allocate(torch.from_numpy(depth).float(), torch.from_numpy(pose).float())
+    points = box_room.camera.rays().numpy() * depth[..., None] @ pose[:3, :3].T + pose[:3, 3]
+    blocks = torch.floor(torch.from_numpy(points).float() / volume.grid.block_size_m).long()
+    assert (volume.grid.block_ids(blocks) >= 0).float().mean() > 0.995
+
+
+def test_agrees_with_a_slow_reference(box_room):
+    volume = make_volume(box_room.camera)
+    poses = [box_room.pose(angle, (2.013, 1.507, 1.217)) for angle in (0.1, 0.4, 2.0)]  # no sample between two pixels
+    depths = [box_room.depth(pose) + 0.01 * index for index, pose in enumerate(poses)]
+    for depth, pose in zip(depths, poses, strict=True):
+        volume.allocate(torch.from_numpy(depth).float(), torch.from_numpy(pose).float())
+    weights = [np.full_like(depth, 1.0 + index) for index, depth in enumerate(depths)]
+    for depth, weight, pose in zip(depths, weights, poses, strict=True):
+        tensors = (torch.from_numpy(depth).float(), torch.from_numpy(weight).float())
+        volume.integrate(*tensors, None, torch.from_numpy(pose).float())
+    chosen = torch.randint(len(volume.grid.blocks) * ROWS, (4000,), generator=torch.Generator().manual_seed(0)).numpy()
+    points = positions(volume).double().numpy()
+    expected = np.zeros((len(chosen), 4))
+    for sums, point in zip(expected, points[chosen], strict=True):
+        for depth, weight, pose in zip(depths, weights, poses, strict=True):
+            sums += _reading(box_room.camera, depth, weight, pose, point)
+    found = volume.sums[torch.from_numpy(chosen)].numpy()
+    agree = np.isclose(found, expected, atol=1e-4).all(1)
+    assert (expected[:, 3] > 0).sum() > 1000
+    assert agree.mean() > 0.999  # float32 may round a sample to the next pixel
+
+
+def _reading(camera: Camera, depth: np.ndarray, weight: np.ndarray, pose: np.ndarray, point: np.ndarray) -> np.ndarray:
+    """What one image adds to the sums of one sample."""
+    x, y, z = pose[:3, :3].T @ (point - pose[:3, 3])
+    if z <= 0.05:
+        return np.zeros(4)
+    column, row = round(camera.fx * x / z + camera.cx), round(camera.fy * y / z + camera.cy)
+    if not (0 <= column < camera.width and 0 <= row < camera.height):
+        return np.zeros(4)
+    sdf = depth[row, column] - z
+    if sdf <= -TRUNCATION:
+        return np.zeros(4)
+    sdf, w = min(sdf, TRUNCATION), weight[row, column]
+    return np.array([w, w * sdf, w * sdf**2, 1.0])
+
+
+def test_agrees_with_open3d(make_mappable_run: Callable[..., RunDirectory]):
+    """Unit weights are plain fusion: the same distances as Open3D near the surface."""
+    run = make_mappable_run(("gt",))
+    frames = RunFrames(run)
+    config = make_config("tsdf", ["fusion.voxel_size_m=0.04"], sensors=("gt",), device="cpu")
+    baseline, poses = fuse_open3d(frames, list(range(len(frames))), config)
+    mapper = Mapper(frames.camera, ("gt",), config, torch.device("cpu"))
+    for index, pose in poses.items():
+        depth = frames.depth(index, "gt")
+        mapper.volume.allocate(depth, torch.tensor(pose).float())
+        mapper.volume.integrate(depth, None, frames.color(index), torch.tensor(pose).float())
+    grid = mapper.volume.grid
+    samples = torch.round(positions_of(grid) / grid.voxel_size_m).long()
+    theirs = baseline.grid.sample_rows(samples)
+    shared = (theirs >= 0) & mapper.known() & baseline.known[theirs.clamp(min=0)]
+    ours = mapper.volume.sdf()[shared]
+    other = baseline.base[theirs[shared], 0]
+    near = (ours.abs() < 0.06) & (other.abs() < 0.06)
+    assert near.sum() > 10000
+    difference = (ours - other)[near].abs()
+    assert difference.median() < 5e-4
+    assert difference.quantile(0.99) < 5e-3
+
+
+def positions_of(grid: SparseGrid) -> torch.Tensor:
+    return grid.block_positions(torch.arange(len(grid.blocks))).view(-1, 3)
