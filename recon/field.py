@@ -40,8 +40,9 @@ class FeatureLevel(nn.Module):
 class NeuralField(nn.Module):
     """sdf(x) in metres and colour(x) in 0..1.
 
-    base (R, 4) holds the fused sdf and rgb of every sample, sigma (R,) how uncertain that sdf is (1 sigma, metres), known
-    (R,) whether enough readings saw it; `fine` (A, 4) are learned offsets of the A active samples.
+    base (R, 4) holds the fused sdf and rgb of every sample, sigma (R,) how uncertain that sdf is (1 sigma, metres),
+    known (R,) whether enough readings saw it; `fine` (A + 1, 4) are learned offsets of the A active samples, the first
+    row, of all others, being zero.
     """
 
     def __init__(
@@ -78,14 +79,15 @@ class NeuralField(nn.Module):
         known = ((rows >= 0) & self.known[rows.clamp(min=0)]).all(1)
         rows = rows.clamp(min=0)
         fixed = (self.base[rows] * weights[..., None]).sum(1)
-        fine = weighted_rows(self.fine, self.slot[rows], weights)
+        slots = self.slot[rows]
+        fine = weighted_rows(self.fine, slots, weights * (slots > 0))  # slot 0 must not learn: all free space shares it
         values = fixed + fine + self.correction(points)
         values = values * known[:, None]
         return values[:, 0], values[:, 1:], known
 
     def correction(self, points: Tensor) -> Tensor:
         """(N, 3) -> (N, 4): what the coarse features say, sdf within +- 2 voxels, colour within +- 1."""
-        if not self.levels:
+        if not self.levels or len(self.fine) == 1:  # no feature grid, or no sample near a surface to make one for
             return points.new_zeros(len(points), 4)
         features = torch.cat([level(points) for level in self.levels], 1)
         scale = points.new_tensor([2 * self.grid.voxel_size_m, 1.0, 1.0, 1.0])
