@@ -3,7 +3,6 @@
 from collections.abc import Callable
 
 import numpy as np
-import pytest
 import torch
 from uncle.recon.camera import Camera
 from uncle.recon.config import make_config
