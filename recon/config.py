@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import difflib
 import tomllib
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
@@ -12,7 +12,7 @@ from .errors import ConfigError
 
 
 class _Strict(BaseModel):
-    model_config = ConfigDict(frozen=True, extra="forbid")
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
 
 class FusionConfig(_Strict):
@@ -20,7 +20,7 @@ class FusionConfig(_Strict):
 
     voxel_size_m: float = Field(0.02, gt=0.001, le=0.5)
     truncation_voxels: float = Field(4.0, ge=2.0, le=16.0)
-    max_depth_m: float = Field(6.0, gt=0.1)
+    max_depth_m: float = Field(6.0, gt=0.1, le=1000.0)
     blur_voxels: float = Field(0.25, ge=0)  # what the grid itself cannot resolve, added to beta in the weights
     min_readings: float = Field(3.0, ge=1.0)  # a sample seen less often is not part of the surface
     sweeps: int = Field(2, ge=0)  # fusions of all frames after the first one, each with what was learned before it
@@ -52,7 +52,7 @@ class FieldConfig(_Strict):
     iterations: int = Field(300, ge=0)
     rays: int = Field(2048, ge=64)
     samples: int = Field(8, ge=4)
-    levels: tuple[int, ...] = (4, 12)  # cell sizes of the feature grids, in voxels
+    levels: tuple[Annotated[int, Field(ge=1, le=64)], ...] = (4, 12)  # cell sizes of the feature grids, in voxels
     channels: int = Field(4, ge=1)
     hidden: int = Field(24, ge=4)
     learning_rate_sdf_m: float = Field(5e-4, gt=0)
@@ -66,7 +66,7 @@ class MapConfig(_Strict):
 
     method: Literal["uncle", "tsdf"] = "uncle"
     sensors: tuple[str, ...] = ()
-    seed: int = Field(0, ge=0)
+    seed: int = Field(0, ge=0, lt=2**63)
     device: Literal["auto", "cpu", "cuda"] = "auto"
     hold_out: int = Field(0, ge=0)  # every n-th frame is kept out of the map, to be scored by `uncle eval`; 0 = none
     fusion: FusionConfig = FusionConfig()
