@@ -1,0 +1,137 @@
+"""The mapper's residuals against a map that really lacks the reading, its weights and its state."""
+
+import pytest
+import torch
+from uncle.recon.camera import Camera
+from uncle.recon.config import make_config
+from uncle.recon.frame import Frame
+from uncle.recon.mapper import Mapper
+from uncle.recon.raycast import cast_rays
+
+CAMERA = Camera(80, 60, 60.0, 60.0, 39.5, 29.5)
+DEPTHS = (2.0, 2.012, 1.98, 2.025, 1.991)
+NORMALS = torch.tensor([0.0, 0.0, -1.0]).expand(60, 80, 3)
+
+
+def make_mapper(*settings: str, sensors: tuple[str, ...] = ("a",)) -> Mapper:
+    quick = ["fusion.voxel_size_m=0.05", "uncertainty.steps_per_keyframe=2", "uncertainty.steps_per_sweep=5"]
+    config = make_config("uncle", [*quick, "keyframes.rays=500", *settings], sensors=sensors, device="cpu")
+    return Mapper(CAMERA, sensors, config, torch.device("cpu"))
+
+
+def make_frame(index: int, *depths: float, names: tuple[str, ...] = ("a",)) -> Frame:
+    images = {name: torch.full((60, 80), depth) for name, depth in zip(names, depths, strict=True)}
+    return Frame(index, index, torch.full((60, 80, 3), 90, dtype=torch.uint8), images, torch.eye(4).numpy())
+
+
+def fuse_all(mapper: Mapper, frames: list[Frame], left_out: int | None = None) -> None:
+    for frame in frames:
+        mapper.volume.allocate(frame.depths["a"], torch.eye(4))
+    for frame in frames:
+        if frame.index != left_out:
+            mapper.fuse(frame, mapper.features(frame, {"a": NORMALS}), torch.eye(4))
+
+
+def hits(mapper: Mapper, rays: dict[str, torch.Tensor]) -> torch.Tensor:
+    volume = mapper.volume
+    return cast_rays(volume.grid, volume.sdf(), mapper.known(), rays["origins"], rays["directions"], 5.0, 0.1)
+
+
+@pytest.mark.parametrize("left_out", range(len(DEPTHS)))
+def test_residual_is_that_against_a_map_without_the_reading(left_out):
+    frames = [make_frame(index, depth) for index, depth in enumerate(DEPTHS)]
+    mapper, without = make_mapper(), make_mapper()
+    fuse_all(mapper, frames)
+    fuse_all(without, frames, left_out)
+    frame = frames[left_out]
+    rays = mapper._draw_rays(frame, mapper.features(frame, {"a": NORMALS}), torch.eye(4))
+    depth, hit, expected = rays["depths"][:, 0], hits(mapper, rays), hits(without, rays)
+    used = (hit > 0) & (expected > 0)
+    assert used.float().mean() > 0.8
+    residual, trusted = mapper._residuals(mapper.noise["a"], rays, depth, rays["features"][:, 0], hit, used)
+    assert trusted.all()
+    true = (depth - expected).abs()[used]
+    assert float(true.median()) > 0.0015
+    assert float((residual - true).abs().median()) < 0.02 * float(true.median()) + 1e-4
+    naive = (depth - hit).abs()[used]
+    assert float((naive - true).abs().median()) > 0.15 * float(true.median())  # the stretch is what makes it so
+
+
+def test_a_reading_alone_says_nothing_about_itself():
+    mapper = make_mapper("fusion.min_readings=1")
+    frame = make_frame(0, 2.0)
+    fuse_all(mapper, [frame])
+    rays = mapper._draw_rays(frame, mapper.features(frame, {"a": NORMALS}), torch.eye(4))
+    hit = hits(mapper, rays)
+    assert (hit > 0).float().mean() > 0.8
+    used = hit > 0
+    _, trusted = mapper._residuals(mapper.noise["a"], rays, rays["depths"][:, 0], rays["features"][:, 0], hit, used)
+    assert not trusted.any()
+
+
+def test_weight_falls_with_the_square_of_beta():
+    weight = make_mapper("fusion.blur_voxels=0").weight(torch.tensor([0.01, 0.02, 0.1]))
+    torch.testing.assert_close(weight, torch.tensor([1.0, 0.25, 0.01]))
+    blurred = make_mapper("fusion.blur_voxels=1").weight(torch.tensor([0.0, 0.01]))  # 5 cm voxels
+    torch.testing.assert_close(blurred, torch.tensor([1 / 25, 1 / 26]))
+
+
+def test_without_uncertainty_every_reading_weighs_the_same():
+    mapper = make_mapper("uncertainty.enabled=false")
+    for index, depth in enumerate(DEPTHS[:3]):
+        assert mapper.explore(make_frame(index, depth), {"a": NORMALS}, torch.eye(4)) == {}
+    torch.testing.assert_close(mapper.volume.sums[:, 0], mapper.volume.counts())
+    assert (mapper.volume.counts() == 3).any()
+
+
+def test_learns_which_sensor_lies():
+    names = ("good", "bad")
+    mapper = make_mapper("uncertainty.steps_per_sweep=300", "uncertainty.learning_rate=0.01", sensors=names)
+    generator = torch.Generator().manual_seed(0)
+    for index in range(8):
+        frame = make_frame(index, 2.0, 2.0, names=names)
+        noise = torch.rand(60, 80, generator=generator) - 0.5
+        frame.depths["bad"].add_(0.1 * noise)
+        mapper.explore(frame, dict.fromkeys(names, NORMALS), torch.eye(4))
+        rays = mapper._draw_rays(frame, mapper.features(frame, dict.fromkeys(names, NORMALS)), torch.eye(4))
+        mapper.rays.add(rays, mapper.generator)
+    losses = mapper.learn()
+    assert losses["good"] < losses["bad"] - 0.5
+    features = mapper.features(frame, dict.fromkeys(names, NORMALS))
+    beta = {name: mapper.noise[name].beta_image(frame.depths[name], features[name]).mean() for name in names}
+    assert beta["good"] < 0.5 * beta["bad"]
+
+
+def test_frame_without_readings_changes_nothing():
+    mapper = make_mapper()
+    mapper.explore(make_frame(0, 0.0), {"a": NORMALS}, torch.eye(4))
+    assert mapper.volume.grid.rows == 0
+    mapper.explore(make_frame(1, 2.0), {"a": NORMALS}, torch.eye(4))
+    before = mapper.volume.sums.clone()
+    mapper.explore(make_frame(2, 0.0), {"a": NORMALS}, torch.eye(4))
+    assert torch.equal(mapper.volume.sums, before)
+
+
+def test_state_continues_bit_for_bit():
+    frames = [make_frame(index, depth) for index, depth in enumerate(DEPTHS)]
+    poses = [torch.eye(4) for _ in frames]
+    for index, pose in enumerate(poses):
+        pose[0, 3] = 0.3 * index  # moves on, so that keyframes are added and learned from
+    unbroken, first = make_mapper(), make_mapper()
+    for frame, pose in zip(frames[:3], poses[:3], strict=True):
+        unbroken.explore(frame, {"a": NORMALS}, pose)
+        first.explore(frame, {"a": NORMALS}, pose)
+    second = make_mapper()
+    second.load_state_dict(first.state_dict())
+    for mapper in (unbroken, second):
+        for frame, pose in zip(frames[3:], poses[3:], strict=True):
+            mapper.explore(frame, {"a": NORMALS}, pose)
+        mapper.learn()
+    assert torch.equal(unbroken.volume.sums, second.volume.sums)
+    assert torch.equal(unbroken.volume.color_sums, second.volume.color_sums)
+    assert torch.equal(unbroken.volume.grid.blocks, second.volume.grid.blocks)
+    assert torch.equal(unbroken.rays["depths"], second.rays["depths"])
+    assert torch.equal(unbroken.generator.get_state(), second.generator.get_state())
+    assert len(unbroken.selector.T_camera_world) == len(second.selector.T_camera_world) > 1
+    for ours, theirs in zip(unbroken.noise["a"].parameters(), second.noise["a"].parameters(), strict=True):
+        assert torch.equal(ours, theirs)
