@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import functools
 import json
 import resource
+import shutil
 import sys
 import time
 from dataclasses import dataclass
@@ -21,7 +23,7 @@ from .field import NeuralField
 from .pipeline import choose_device, reconstruct
 from .recording import RunFrames
 from .run import Manifest, RunDirectory, config_hash
-from .storage import BETA_UNITS_PER_M, encode_metres, write_image, write_text
+from .storage import BETA_UNITS_PER_M, encode_metres, explain_write_errors, write_image, write_text
 from .tracking import GivenPoses
 from .trajectory import Trajectory
 from .tsdf import fuse_open3d
@@ -50,16 +52,16 @@ def map_run(
     manifest = run.manifest
     config = config.model_copy(update={"sensors": choose_sensors(manifest, config.sensors)})
     digest = config_hash(config.model_dump(mode="json"), run.require_stage("preprocess").config_hash)
-    if run.is_current(STAGE, digest) and not overwrite:
+    checkpoint = Checkpoint(run.checkpoint_path, digest)
+    continues = resume and not overwrite and checkpoint.load() is not None  # a broken --overwrite goes on, too
+    if run.is_current(STAGE, digest) and not overwrite and not continues:
         return MapSummary(len(Trajectory.load(run.trajectory_path)), 0.0, 0.0, unchanged=True)
     frames = RunFrames(run, config.sensors)
     indices, held_out = split_frames(frames, config, on_event)
-    checkpoint = Checkpoint(run.checkpoint_path, digest)
     _prepare(checkpoint, resume and not overwrite, on_event)
     torch.manual_seed(config.seed)
     started = time.time()
     field, poses, facts = _reconstruct(run, frames, indices, config, checkpoint, on_event)
-    _invalidate_later_stages(run)
     save_tensors(run.field_path, field.to_state())
     _trajectory(frames, poses).save(run.trajectory_path)
     write_text(run.config_path, to_toml(config))
@@ -117,13 +119,18 @@ def _reconstruct(run, frames, indices, config, checkpoint, on_event) -> tuple[Ne
         began = time.time()
         field, poses = fuse_open3d(frames, indices, config, on_event)
         _require_surface(field)
+        _drop_earlier_map(run)
         return field, poses, {"seconds": {"fusion": round(time.time() - began, 2)}}
 
+    drop_earlier_map = functools.cache(lambda: _drop_earlier_map(run))
+
     def write_beta(index: int, sensor: str, beta: Tensor) -> None:
+        drop_earlier_map()
         write_image(run.beta_path(sensor, index), encode_metres(beta.numpy(), BETA_UNITS_PER_M))
 
     made = reconstruct(frames, indices, config, checkpoint, write_beta, on_event)
     _require_surface(made.field)
+    drop_earlier_map()
     write_text(run.curves_path, json.dumps(_curves(made.curves)))
     seconds = {name: round(value, 2) for name, value in made.seconds.items()}
     return made.field, made.poses, {"seconds": seconds, "keyframes": len(made.mapper.selector.T_camera_world)}
@@ -145,7 +152,11 @@ def _trajectory(frames: RunFrames, poses: dict[int, np.ndarray]) -> Trajectory:
     return Trajectory(stamps, np.stack([np.asarray(poses[index]) for index in order]))
 
 
-def _invalidate_later_stages(run: RunDirectory) -> None:
+def _drop_earlier_map(run: RunDirectory) -> None:
+    """Forget the map and all that was made of it, before the first file of a new one takes the place of an old one."""
     manifest = run.manifest
     manifest.stages = {name: record for name, record in manifest.stages.items() if name == "preprocess"}
     run.save_manifest(manifest)
+    with explain_write_errors(run.root):
+        shutil.rmtree(run.root / "beta", ignore_errors=True)
+        run.curves_path.unlink(missing_ok=True)

@@ -14,7 +14,7 @@ from .keyframes import RayStore
 from .losses import laplace_nll
 from .raycast import cast_rays
 from .rendering import render_depth, render_values, sdf_weights
-from .uncertainty import NoiseModel
+from .uncertainty import START_BETA_M, NoiseModel
 
 SPAN_VOXELS = 2.5  # samples reach this far before and behind the present surface
 SHARPNESS_VOXELS = 0.7
@@ -108,7 +108,8 @@ def _loss(field, rays, noise, config, batch, z) -> tuple[Tensor, Tensor]:
     for column, model in enumerate(noise.values()):
         used = rendered.known & (depths[:, column] > 0)
         with torch.no_grad():
-            beta = model(features[used, column].float())
+            seen = features[used, column].float()
+            beta = model(seen) if seen.shape[-1] else torch.full_like(depths[used, column], START_BETA_M)
         total = total + laplace_nll(depths[used, column] - rendered.depth[used], beta).sum()
         count = count + used.sum()
     likelihood = total / count.clamp(min=1)

@@ -41,7 +41,7 @@ def fuse_open3d(
         color = o3d.t.geometry.Image(frame.color.numpy().astype(np.float32) / 255)
         for metres in frame.depths.values():
             depth = o3d.t.geometry.Image(np.ascontiguousarray(metres.numpy()))
-            if not bool((metres > 0).any()):
+            if not bool(((metres > 0) & (metres < reach)).any()):
                 continue
             blocks = volume.compute_unique_block_coordinates(depth, intrinsic, extrinsic, 1.0, reach, truncation)
             volume.integrate(blocks, depth, color, intrinsic, intrinsic, extrinsic, 1.0, reach, truncation)
