@@ -19,6 +19,7 @@ from .grid import ROWS, SparseGrid, unique_blocks
 from .interpolation import weighted_rows
 
 ACTIVE_VOXELS = 3.0  # samples this close to the surface can be moved
+NO_WEIGHT = 1e-4  # a corner that weighs less need not be known: vertices lie on the edges of cells, also of the last
 
 
 class FeatureLevel(nn.Module):
@@ -76,7 +77,7 @@ class NeuralField(nn.Module):
     def forward(self, points: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         """(N, 3) world points -> sdf (N,) metres, rgb (N, 3), known (N,) bool; sdf and rgb are 0 where unknown."""
         rows, weights = self.grid.trilinear(points)
-        known = ((rows >= 0) & self.known[rows.clamp(min=0)]).all(1)
+        known = ((rows >= 0) & self.known[rows.clamp(min=0)] | (weights < NO_WEIGHT)).all(1)
         rows = rows.clamp(min=0)
         fixed = (self.base[rows] * weights[..., None]).sum(1)
         slots = self.slot[rows]
