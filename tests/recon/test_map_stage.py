@@ -147,7 +147,7 @@ def test_what_cannot_be_mapped_is_said(make_mappable_run):
             map_run(run, settings(*overrides, method=method))
         run.checkpoint_path.unlink(missing_ok=True)
     for method in ("uncle", "tsdf"):
-        with pytest.raises(DataError, match="often enough|no surface"):
+        with pytest.raises(DataError, match="often enough"):
             map_run(run, settings("fusion.min_readings=99", method=method))
         run.checkpoint_path.unlink(missing_ok=True)
     strip_poses(run, list(range(12)))
