@@ -15,7 +15,8 @@ from .options import overwrite_option, run_option
 @click.option("--voxel", type=click.FloatRange(0.001, 0.5), default=None, metavar="METRES",
               help="Cell size of the mesh. Default: that of the map.")  # fmt: skip
 @click.option("--clean/--no-clean", default=None,
-              help="Keep only what the cameras saw, without floaters. Default: on, but off for the plain tsdf baseline.")  # fmt: skip
+              help="Keep only what the cameras saw, without floaters. "
+                   "Default: on, but off for the plain tsdf baseline.")  # fmt: skip
 @click.option("--min-confidence", type=click.FloatRange(min=0.0, min_open=True), default=None, metavar="METRES",
               help="Leave out vertices whose 1-sigma error is larger than this.")  # fmt: skip
 @click.option("--out", type=click.Path(path_type=Path, dir_okay=False), default=None, help="Default: RUN/mesh.ply.")

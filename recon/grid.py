@@ -15,7 +15,7 @@ _MARGIN = 8  # blocks of slack when the lookup volume grows, so that it does not
 
 
 class SparseGrid:
-    """Which blocks exist, and where their rows are. Memory: 512 rows a block plus 4 bytes a block of the bounding box."""
+    """Which blocks exist, and where their rows are. Memory: 512 rows a block, 4 bytes per block of the box around."""
 
     def __init__(self, voxel_size_m: float, device: torch.device | str = "cpu") -> None:
         self.voxel_size_m = float(voxel_size_m)
@@ -34,7 +34,7 @@ class SparseGrid:
         return BLOCK * self.voxel_size_m
 
     def allocate(self, blocks: Tensor) -> int:
-        """Add those of `blocks` (M, 3) int64 that do not exist yet; returns how many were new. Existing rows keep their place."""
+        """Add those of `blocks` (M, 3) int64 that do not exist yet; returns how many were new. Existing rows stay."""
         if len(blocks) == 0:
             return 0
         blocks = unique_blocks(blocks)
@@ -78,7 +78,7 @@ class SparseGrid:
         return self.sample_rows(torch.round(points / self.voxel_size_m).long())
 
     def trilinear(self, points: Tensor) -> tuple[Tensor, Tensor]:
-        """(N, 3) world points -> rows (N, 8) int64 of the surrounding samples (-1 = absent) and weights (N, 8) float32."""
+        """(N, 3) world points -> rows (N, 8) int64 of the samples around (-1 = absent), weights (N, 8) float32."""
         scaled = points / self.voxel_size_m
         base = torch.floor(scaled)
         part = scaled - base
@@ -112,7 +112,7 @@ class SparseGrid:
 
 
 def unique_blocks(blocks: Tensor) -> Tensor:
-    """Distinct rows of (M, 3) int64 coordinates within +-2^20, sorted; packing them makes this 50 times quicker than dim=0."""
+    """Distinct rows of (M, 3) int64 coordinates within +-2^20, sorted. Packed, hence 50 times quicker than dim=0."""
     half = 1 << 20
     x, y, z = (blocks + half).unbind(-1)
     keys = torch.unique((x << 42) | (y << 21) | z)

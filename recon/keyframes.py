@@ -24,6 +24,7 @@ class KeyframeSelector:
 
     def is_keyframe(self, frame: Frame, T_world_camera: Tensor) -> bool:
         """Decide about one frame and remember it if it is one."""
+        T_world_camera = T_world_camera.cpu()  # frames are there, too
         chosen = not self.T_camera_world or self._overlap(frame, T_world_camera) < self.config.max_overlap
         if chosen:
             self.T_camera_world.append(torch.linalg.inv(T_world_camera.double()).float())

@@ -7,7 +7,7 @@ from torch import Tensor
 
 
 def laplace_nll(residual: Tensor, beta: Tensor) -> Tensor:
-    """Negative log-likelihood |r| / beta + log(2 beta) of each residual (...), metres, under a Laplace law of scale beta.
+    """Negative log-likelihood |r| / beta + log(2 beta) of each residual (...), metres, under a Laplace law.
 
     Paper: mapping loss; the log 2 that it leaves out only makes the figure a true likelihood. Minimal at beta = |r|.
     """

@@ -80,7 +80,7 @@ def seen_vertices(
 
 
 def _sampled(field: NeuralField, voxel_size_m: float | None):
-    """The grid to extract from and its samples: the field's own, or a new grid of another voxel size over the same surface."""
+    """The grid to extract from and its samples: the field's own, or one of another voxel size over the same surface."""
     own = field.grid.voxel_size_m
     if voxel_size_m is None or abs(voxel_size_m - own) < 1e-9:
         return field.grid, field.samples

@@ -17,7 +17,7 @@ def cast_rays(
     """First crossing from free space into a surface, as z-depth.
 
     sdf (R,) metres and known (R,) bool by grid row; origins (N, 3); directions (N, 3) with unit z-component in the
-    camera (`Camera.rays`, rotated). `step_m` must not exceed the truncation. Returns (N,) metres, 0 where nothing is hit.
+    camera (`Camera.rays`, rotated). `step_m` must not exceed the truncation. Returns (N,) metres, 0 = no hit.
     """
     depth = torch.zeros(len(directions), device=directions.device)
     steps = torch.arange(1, int(far_m / step_m) + 2, device=directions.device) * step_m
@@ -49,6 +49,6 @@ def _cast(grid, sdf, known, origins, directions, steps, step_m) -> Tensor:
 
 
 def _first_crossing(values: Tensor) -> tuple[Tensor, Tensor]:
-    """(N, S) with nan = unknown -> whether a positive value is followed by a negative one, and where first; (N,) each."""
+    """(N, S) with nan = unknown -> whether a positive value is followed by a negative one, where first; (N,) each."""
     crossing = (values[:, :-1] > 0) & (values[:, 1:] <= 0)
     return crossing.any(1), crossing.int().argmax(1)

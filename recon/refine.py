@@ -57,7 +57,7 @@ def refine(
     generator: torch.Generator,
     on_event: OnEvent = ignore,
 ) -> list[float]:
-    """Minimise the paper's mapping loss over all keyframe rays; returns the mean negative log-likelihood per step, nats.
+    """Minimise the paper's mapping loss over all keyframe rays; returns the mean negative log-likelihood a step, nats.
 
     sum over sensors of |D_s - D_hat| / beta_s + log(2 beta_s), plus the colour term. h_w stays as it was learned: the
     field comes to fit its own rays, and a beta that followed those residuals would promise too much.

@@ -20,7 +20,7 @@ _START_BLOCKS = 3000  # grows as needed; each takes 80 kB
 def fuse_open3d(
     frames: RunFrames, indices: list[int], config: MapConfig, on_event: OnEvent = ignore
 ) -> tuple[NeuralField, dict[int, np.ndarray]]:
-    """Fuse all sensors of `indices` with `VoxelBlockGrid.integrate`; returns the map and T_world_camera by frame index."""
+    """Fuse all sensors of `indices` with `VoxelBlockGrid.integrate`; returns map and T_world_camera by frame index."""
     import open3d as o3d
 
     device, float32 = o3d.core.Device("CPU:0"), o3d.core.float32
@@ -50,7 +50,7 @@ def fuse_open3d(
 
 
 def _corner_matrix(camera: Camera) -> np.ndarray:
-    """Intrinsics for Open3D's fusion, which cuts pixel coordinates down to integers: pixel centres lie at +0.5 there."""
+    """Intrinsics for Open3D's fusion, which cuts pixel coordinates down to integers: pixel centres at +0.5."""
     matrix = camera.matrix
     matrix[:2, 2] += 0.5
     return matrix

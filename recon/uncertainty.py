@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from itertools import pairwise
 
 import torch
 from torch import Tensor, nn
@@ -23,7 +24,7 @@ class NoiseModel(nn.Module):
         super().__init__()
         self.config = config
         sizes = [len(FEATURES), config.hidden, config.hidden, 1]
-        self.layers = nn.ModuleList(nn.Linear(a, b) for a, b in zip(sizes[:-1], sizes[1:], strict=True))
+        self.layers = nn.ModuleList(nn.Linear(a, b) for a, b in pairwise(sizes))
         with torch.no_grad():
             for layer in self.layers:
                 bound = math.sqrt(6 / sum(layer.weight.shape))  # Xavier, as in METHOD.md section 3
@@ -50,7 +51,7 @@ class NoiseModel(nn.Module):
         return beta.view(depth.shape)
 
     def learn(self, features: Tensor, residuals: Tensor, steps: int, generator: torch.Generator) -> float:
-        """Minimise the Laplace likelihood of `residuals` (N,) metres given `features` (N, F); returns its last mean, in nats."""
+        """Minimise the Laplace likelihood of `residuals` (N,) metres given `features` (N, F); returns the last mean."""
         loss = torch.zeros(())
         if len(residuals) == 0:
             return math.nan
