@@ -1,0 +1,24 @@
+"""The sweeps of the reconstruction."""
+
+import torch
+from uncle.recon.checkpoint import Checkpoint
+from uncle.recon.config import make_config
+from uncle.recon.pipeline import reconstruct
+from uncle.recon.recording import RunFrames
+
+
+def test_every_sweep_counts_every_reading_once(make_mappable_run, tmp_path):
+    """The last sweep replaces the ones before: no sample has more readings than there are frames and sensors."""
+    run = make_mappable_run(("noisy",))
+    overrides = ["fusion.voxel_size_m=0.1", "fusion.sweeps=2", "field.iterations=0", "uncertainty.steps_per_sweep=2"]
+    config = make_config("uncle", overrides, sensors=("noisy",), device="cpu")
+    betas: dict[int, torch.Tensor] = {}
+    made = reconstruct(
+        RunFrames(run, ("noisy",)), list(range(0, 12, 2)), config, Checkpoint(tmp_path / "c.pt", ""),
+        lambda index, sensor, beta: betas.update({index: beta}),
+    )  # fmt: skip
+    counts = made.mapper.volume.counts()
+    assert counts.max() <= 6
+    assert counts.max() >= 3
+    assert sorted(betas) == sorted(made.poses) == list(range(0, 12, 2))
+    assert {"sweep 1", "sweep 2", "sweep 3", "learning"} <= set(made.seconds)
