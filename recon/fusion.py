@@ -53,15 +53,29 @@ class FusionVolume:
         self.color_sums.zero_()
         self._grow()
 
-    def integrate(self, depth: Tensor, weight: Tensor | None, color: Tensor | None, T_world_camera: Tensor) -> None:
+    def integrate(
+        self,
+        depth: Tensor,
+        weight: Tensor | None,
+        color: Tensor | None,
+        T_world_camera: Tensor,
+        doubt_m: Tensor | None = None,
+    ) -> None:
         """Add one depth image: depth (H, W) metres, weight (H, W) or None = 1, color (H, W, 3) uint8 or None.
 
-        Every allocated block in view takes part, so that a reading also speaks for the free space before it.
+        Every allocated block in view takes part, so that a reading also speaks for the free space before it. How
+        loudly it does is its weight again, or, with `doubt_m` (H, W), what `free_space_weight` makes of it.
         """
         T_camera_world = torch.linalg.inv(T_world_camera.double()).float()
+        typical = None if weight is None or doubt_m is None else _median(weight, depth > 0)
         for ids in self._visible(depth, T_camera_world).split(_BLOCKS_AT_A_TIME):
             rows, pixels, sdf = self._readings(ids, depth, T_camera_world)
             w = torch.ones_like(sdf) if weight is None else weight.view(-1)[pixels]
+            if typical is not None:
+                beyond = sdf - self.truncation_m
+                free = free_space_weight(w, typical, beyond, doubt_m.view(-1)[pixels])
+                w = torch.where(beyond >= 0, free, w)
+            sdf = sdf.clamp(max=self.truncation_m)
             self.sums[rows] += torch.stack([w, w * sdf, w * sdf * sdf, torch.ones_like(sdf)], -1)
             if color is not None:
                 near = sdf.abs() < 0.5 * self.truncation_m
@@ -135,7 +149,23 @@ class FusionVolume:
         kept = (reading > 0) & (reading < self.max_depth_m) & (sdf > -self.truncation_m)
         samples, pixels = samples[kept], pixels[kept]
         rows = ids[samples // ROWS] * ROWS + samples % ROWS
-        return rows, pixels, sdf[kept].clamp(max=self.truncation_m)
+        return rows, pixels, sdf[kept]
+
+
+def free_space_weight(weight: Tensor, typical: Tensor, beyond_m: Tensor, doubt_m: Tensor) -> Tensor:
+    """How much a reading says about a sample `beyond_m` (N,) metres before its truncation band.
+
+    That nothing is there is a different claim than where the surface is. It is the surer the further the sample lies
+    before the reading, on the scale of the reading's own noise (`doubt_m`); and a noisy reading still knows that it
+    looked through: its weight is drawn half way (geometric mean) to the `typical` one of its image.
+    """
+    sure = 1 - torch.exp(-beyond_m.clamp(min=0) / doubt_m.clamp(min=1e-6))
+    return (weight * typical).sqrt() * sure
+
+
+def _median(values: Tensor, valid: Tensor) -> Tensor | None:
+    chosen = values[valid]
+    return chosen.median() if len(chosen) else None
 
 
 def _extended(rows: Tensor, count: int) -> Tensor:

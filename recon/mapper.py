@@ -18,6 +18,7 @@ from .raycast import cast_rays
 from .uncertainty import NoiseModel
 
 WEIGHT_SCALE_M = 0.01  # a reading with this beta weighs 1
+DOUBT_BETAS = 2.0  # a reading vouches for free space on the scale of this many betas before it
 _MAX_SELF_SHARE = 0.9  # readings that make up more of the map than this say nothing about themselves
 _MAX_RESIDUAL_M = 1.0
 
@@ -37,10 +38,9 @@ class Mapper:
         self.rays = RayStore(config.keyframes.max_rays)
 
     # --- one frame ---------------------------------------------------------------------------------------------
-    def explore(self, frame: Frame, normals: dict[str, Tensor], T_world_camera: Tensor) -> dict[str, Tensor]:
+    def explore(self, frame: Frame, features: dict[str, Tensor], T_world_camera: Tensor) -> dict[str, Tensor]:
         """First look at a frame: a keyframe lends its rays; what the map predicts there, before the frame is part of it,
         teaches the noise models; then the frame is fused. Returns the beta images used, by sensor."""
-        features = self.features(frame, normals)
         if self.selector.is_keyframe(frame, T_world_camera):
             rays = self._draw_rays(frame, features, T_world_camera)
             if self.config.uncertainty.enabled and self.volume.grid.rows:
@@ -55,11 +55,12 @@ class Mapper:
         color = frame.color.to(self.device)
         betas = {}
         for sensor, depth in frame.depths.items():
-            depth, weight = depth.to(self.device), None
+            depth, weight, doubt_m = depth.to(self.device), None, None
             if self.config.uncertainty.enabled:
                 betas[sensor] = self.noise[sensor].beta_image(depth, features[sensor].to(self.device))
                 weight = self.weight(betas[sensor])
-            self.volume.integrate(depth, weight, color, T_world_camera)
+                doubt_m = DOUBT_BETAS * betas[sensor]
+            self.volume.integrate(depth, weight, color, T_world_camera, doubt_m)
         return betas
 
     def weight(self, beta: Tensor) -> Tensor:

@@ -39,6 +39,14 @@ class Progression:
 
 
 @dataclass(frozen=True)
+class View:
+    """A frame and, by sensor, the (H, W, F) features that its uncertainty is learned from."""
+
+    frame: Frame
+    features: dict[str, Tensor]
+
+
+@dataclass(frozen=True)
 class Reconstruction:
     """field, T_world_camera of each mapped frame, likelihood curves by name (nats), seconds by part."""
 
@@ -67,9 +75,9 @@ def reconstruct(
     mapper = Mapper(frames.camera, frames.sensors, config, choose_device(config.device))
     progress = _restore(checkpoint, mapper, on_event)
     for sweep in range(progress.sweep, 1 + config.fusion.sweeps):
-        for frame in _sweep_frames(frames, indices, sweep, progress, on_event):
+        for view in _sweep_views(frames, indices, sweep, mapper, progress, on_event):
             with _timed(progress, f"sweep {sweep + 1}"):
-                _map_frame(frame, frames, mapper, tracker, progress, explore=sweep == 0)
+                _map_view(view, mapper, tracker, progress, explore=sweep == 0)
             progress.position += 1
             if checkpoint.due():
                 _save(checkpoint, mapper, progress)
@@ -92,30 +100,38 @@ def choose_device(name: str) -> torch.device:
     return torch.device("cuda" if name != "cpu" and torch.cuda.is_available() else "cpu")
 
 
-def _map_frame(
-    frame: Frame, frames: RunFrames, mapper: Mapper, tracker: Tracker, progress: Progression, explore: bool
-) -> None:
+def _map_view(view: View, mapper: Mapper, tracker: Tracker, progress: Progression, explore: bool) -> None:
     """Track, map, record."""
+    frame = view.frame
     T_world_camera = tracker.track(frame) if explore else progress.poses.get(frame.index)
     if T_world_camera is None:
         return
     progress.poses[frame.index] = np.asarray(T_world_camera).tolist()
     pose = torch.tensor(T_world_camera, dtype=torch.float32, device=mapper.device)
-    normals = {sensor: frames.normals(frame.index, sensor) for sensor in frames.sensors}
     if explore:
-        mapper.explore(frame, normals, pose)
+        mapper.explore(frame, view.features, pose)
     else:
-        mapper.fuse(frame, mapper.features(frame, normals), pose)
+        mapper.fuse(frame, view.features, pose)
 
 
-def _sweep_frames(
-    frames: RunFrames, indices: list[int], sweep: int, progress: Progression, on_event: OnEvent
-) -> Iterator[Frame]:
-    """The frames that are left of a sweep, reported."""
+def _views(frames: RunFrames, indices: list[int], mapper: Mapper) -> Iterator[View]:
+    """Frames with their features, both made in the background while the frame before is being mapped."""
+
+    def prepare(frame: Frame) -> View:
+        normals = {sensor: frames.normals(frame.index, sensor) for sensor in frames.sensors}
+        return View(frame, mapper.features(frame, normals))
+
+    return frames.stream(indices, prepare)
+
+
+def _sweep_views(
+    frames: RunFrames, indices: list[int], sweep: int, mapper: Mapper, progress: Progression, on_event: OnEvent
+) -> Iterator[View]:
+    """What is left of a sweep, reported."""
     stage = "mapping" if sweep == 0 else f"fusing again, sweep {sweep + 1}"
-    for frame in frames.stream(indices[progress.position :]):
+    for view in _views(frames, indices[progress.position :], mapper):
         on_event(Progress(stage, progress.position, len(indices)))
-        yield frame
+        yield view
     on_event(Progress(stage, len(indices), len(indices)))
 
 
@@ -143,12 +159,12 @@ def _write_betas(frames: RunFrames, indices: list[int], mapper: Mapper, on_beta:
     if not mapper.config.uncertainty.enabled:
         return
     stage = "writing beta maps"
-    for done, frame in enumerate(frames.stream(indices)):
+    for done, view in enumerate(_views(frames, indices, mapper)):
         on_event(Progress(stage, done, len(indices)))
-        normals = {sensor: frames.normals(frame.index, sensor) for sensor in frames.sensors}
-        for sensor, features in mapper.features(frame, normals).items():
-            depth = frame.depths[sensor].to(mapper.device)
-            on_beta(frame.index, sensor, mapper.noise[sensor].beta_image(depth, features.to(mapper.device)).cpu())
+        for sensor, features in view.features.items():
+            depth = view.frame.depths[sensor].to(mapper.device)
+            beta = mapper.noise[sensor].beta_image(depth, features.to(mapper.device))
+            on_beta(view.frame.index, sensor, beta.cpu())
     on_event(Progress(stage, len(indices), len(indices)))
 
 

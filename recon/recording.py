@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator, Sequence
+from collections import deque
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from typing import TypeVar
 
 import cv2
 import numpy as np
@@ -18,17 +19,7 @@ from .frame import Frame
 from .run import FrameRecord, RunDirectory
 from .storage import BETA_UNITS_PER_M, DEPTH_UNITS_PER_M, read_image
 
-
-@dataclass(frozen=True)
-class SensorImage:
-    """What a sensor delivers in one frame, after preprocessing.
-
-    depth    (H, W) float32 metres, 0 = no reading
-    normals  (H, W, 3) float32 unit vectors in camera axes that point towards the camera, 0 where unknown
-    """
-
-    depth: Tensor
-    normals: Tensor
+T = TypeVar("T")
 
 
 class RunFrames:
@@ -87,19 +78,18 @@ class RunFrames:
         depths = {sensor: self.depth(index, sensor) for sensor in self.sensors}
         return Frame(index, record.timestamp, self.color(index), depths, self.pose(index))
 
-    def sensor_image(self, index: int, sensor: str) -> SensorImage:
-        """Depth and normals of one sensor in one frame. Raises DataError."""
-        return SensorImage(self.depth(index, sensor), self.normals(index, sensor))
-
-    def stream(self, indices: Sequence[int], ahead: int = 4) -> Iterator[Frame]:
-        """Yield frames while the next `ahead` are decoded in the background."""
+    def stream(self, indices: Sequence[int], prepare: Callable[[Frame], T], ahead: int = 4) -> Iterator[T]:
+        """Yield `prepare(frame)` of each frame, while the next `ahead` are read and prepared in the background."""
         with ThreadPoolExecutor(max_workers=1) as pool:
-            pending = [pool.submit(self.__getitem__, index) for index in indices[:ahead]]
+            pending = deque(pool.submit(self._prepared, index, prepare) for index in indices[:ahead])
             for position in range(len(indices)):
-                frame = pending.pop(0).result()
+                ready = pending.popleft().result()
                 if position + ahead < len(indices):
-                    pending.append(pool.submit(self.__getitem__, indices[position + ahead]))
-                yield frame
+                    pending.append(pool.submit(self._prepared, indices[position + ahead], prepare))
+                yield ready
+
+    def _prepared(self, index: int, prepare: Callable[[Frame], T]) -> T:
+        return prepare(self[index])
 
 
 def encode_normals(normals: np.ndarray) -> np.ndarray:

@@ -31,7 +31,7 @@ def fuse_open3d(
     intrinsic = o3d.core.Tensor(_corner_matrix(frames.camera))
     reach, truncation = config.fusion.max_depth_m, config.fusion.truncation_voxels
     tracker, poses = GivenPoses(), {}
-    for done, frame in enumerate(frames.stream(indices)):
+    for done, frame in enumerate(frames.stream(indices, lambda frame: frame)):
         on_event(Progress("fusing", done, len(indices)))
         T_world_camera = tracker.track(frame)
         if T_world_camera is None:
