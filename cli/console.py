@@ -54,7 +54,7 @@ class Console:
 
 
 def listener(ctx: click.Context) -> Console:
-    """The console of this invocation; honours `uncle --quiet`. Its bar is closed when the command ends, however it ends."""
+    """The console of this invocation; honours `uncle --quiet`. Its bar is closed however the command ends."""
     console = Console(quiet=bool((ctx.find_root().obj or {}).get("quiet")))
     ctx.call_on_close(console.close)
     return console

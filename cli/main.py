@@ -10,8 +10,8 @@ from typing import Any
 
 import click
 
-# Waiting threads of PyTorch, OpenCV and Open3D must not spin: on few or shared cores they starve each other. Read by the
-# OpenMP runtime when PyTorch is loaded, hence here.
+# Waiting threads of PyTorch, OpenCV and Open3D must not spin: on few or shared cores they starve each other. Read by
+# the OpenMP runtime when PyTorch is loaded, hence here.
 os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
 
 # command -> (module, one-line help). The module is imported only when the command runs or shows its own help.

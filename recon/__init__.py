@@ -1,1 +1,1 @@
-"""The reconstruction library: maps, uncertainty, meshes and their scores. No Click, no data-set layouts, no printing."""
+"""The reconstruction library: maps, uncertainty, meshes and scores. No Click, no data-set layouts, no printing."""

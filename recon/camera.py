@@ -29,7 +29,7 @@ class Camera:
         return np.array([[self.fx, 0.0, self.cx], [0.0, self.fy, self.cy], [0.0, 0.0, 1.0]])
 
     def resized(self, width: int, height: int) -> Camera:
-        """The same camera for an image resampled to `width` x `height` (pixel centres at integers, hence the halves)."""
+        """The camera of an image resampled to `width` x `height` (pixel centres at integers, hence the halves)."""
         sx, sy = width / self.width, height / self.height
         return Camera(width, height, self.fx * sx, self.fy * sy, (self.cx + 0.5) * sx - 0.5, (self.cy + 0.5) * sy - 0.5)
 

@@ -1,4 +1,4 @@
-"""What the library tells its caller while it works. The library never prints; a caller draws bars and lines from these."""
+"""What the library tells its caller while it works. It never prints; a caller draws bars and lines from these."""
 
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass

@@ -39,8 +39,11 @@ class Mapper:
 
     # --- one frame ---------------------------------------------------------------------------------------------
     def explore(self, frame: Frame, features: dict[str, Tensor], T_world_camera: Tensor) -> dict[str, Tensor]:
-        """First look at a frame: a keyframe lends its rays; what the map predicts there, before the frame is part of it,
-        teaches the noise models; then the frame is fused. Returns the beta images used, by sensor."""
+        """First look at a frame. Returns the beta images used, by sensor.
+
+        A keyframe lends its rays; what the map predicts there, before the frame is part of it, teaches the noise
+        models; then the frame is fused.
+        """
         if self.selector.is_keyframe(frame, T_world_camera):
             rays = self._draw_rays(frame, features, T_world_camera)
             if self.config.uncertainty.enabled and self.volume.grid.rows:

@@ -140,7 +140,8 @@ class RunDirectory:
         found = raw.get("schema_version")
         if found != SCHEMA_VERSION:
             raise RunError(
-                f"{self.root} was made by another version (schema {found}, here {SCHEMA_VERSION}); redo it with `uncle preprocess`"
+                f"{self.root} was made by another version (schema {found}, here {SCHEMA_VERSION}); "
+                "redo it with `uncle preprocess`"
             )
         try:
             return Manifest.model_validate(raw)

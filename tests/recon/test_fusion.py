@@ -6,7 +6,7 @@ import numpy as np
 import torch
 from uncle.recon.camera import Camera
 from uncle.recon.config import make_config
-from uncle.recon.fusion import MIN_SIGMA_M, SHARED_ERROR, FusionVolume
+from uncle.recon.fusion import MIN_SIGMA_M, SHARED_ERROR, FusionVolume, free_space_weight
 from uncle.recon.grid import ROWS, SparseGrid
 from uncle.recon.mapper import Mapper
 from uncle.recon.recording import RunFrames
@@ -73,6 +73,65 @@ def test_weighted_mean_spread_count_and_sigma():
     sigma = spread * (SHARED_ERROR + (1 - SHARED_ERROR) / 2) ** 0.5
     torch.testing.assert_close(volume.sigma()[both], torch.full_like(z[both], sigma), atol=1e-4, rtol=0)
     assert volume.sigma().min() >= MIN_SIGMA_M * 0.999
+
+
+def test_free_space_weight_is_nothing_at_the_band_and_never_falls():
+    one = torch.ones(())
+    assert free_space_weight(one, one, torch.tensor([0.0, -0.1, -5.0]), one).eq(0).all()
+    found = free_space_weight(one, one, torch.linspace(0, 3, 100), torch.tensor(0.1))
+    assert (found.diff() >= 0).all()
+    assert (found.diff()[:30] > 0).all()
+    torch.testing.assert_close(free_space_weight(one, one, torch.tensor([0.1]), torch.tensor(0.1)),
+                               torch.tensor([1 - np.exp(-1)]).float())  # fmt: skip
+
+
+def test_free_space_weight_falls_with_doubt():
+    doubt = torch.tensor([0.0, 0.05, 0.1, 1.0, 100.0])
+    found = free_space_weight(torch.tensor(1.0), torch.tensor(1.0), torch.tensor(0.2), doubt)
+    assert float(found[0]) == 1.0  # a reading without noise is sure at once
+    assert (found.diff() < 0).all()
+    assert float(found[-1]) < 0.01
+
+
+def test_free_space_weight_is_the_geometric_mean_far_before_the_reading():
+    weight, typical = torch.tensor([1.0, 4.0, 0.04, 0.0]), torch.tensor(0.25)
+    found = free_space_weight(weight, typical, torch.full((4,), 50.0), torch.tensor(0.1))
+    torch.testing.assert_close(found, torch.tensor([0.5, 1.0, 0.1, 0.0]))
+
+
+def test_doubt_weakens_only_the_claim_on_free_space():
+    """Most of the image weighs 1, which is typical; the rest 4. In the band weights stay, before it they are drawn."""
+    weight, doubt = plane(4.0), plane(0.3)
+    weight[:40] = 1.0
+    volume, plain = make_volume(), make_volume()
+    for made in (volume, plain):
+        made.allocate(plane(1.2), torch.eye(4))
+        made.allocate(plane(2.0), torch.eye(4))
+    volume.integrate(plane(2.0), weight, None, torch.eye(4), doubt)
+    plain.integrate(plane(2.0), weight, None, torch.eye(4))
+    found, full = volume.sums[:, 0], plain.sums[:, 0]
+    beyond = 2.0 - positions(volume)[:, 2] - TRUNCATION
+    seen = volume.counts() > 0
+    assert torch.equal(seen, plain.counts() > 0)
+    band, free = seen & (beyond < -1e-4), seen & (beyond > 1e-4)
+    assert set(full[free].tolist()) == set(full[band].tolist()) == {1.0, 4.0}
+    torch.testing.assert_close(found[band], full[band])
+    expected = full[free].sqrt() * (1 - torch.exp(-beyond[free] / 0.3))
+    torch.testing.assert_close(found[free], expected, rtol=1e-4, atol=1e-6)
+    torch.testing.assert_close(volume.sdf()[free & (beyond > 0.1)], torch.tensor(TRUNCATION).expand(
+        int((free & (beyond > 0.1)).sum())))  # fmt: skip
+
+
+def test_doubt_without_weights_or_without_readings_changes_nothing():
+    volume, plain = make_volume(), make_volume()
+    for made in (volume, plain):
+        made.allocate(plane(1.2), torch.eye(4))
+    volume.integrate(plane(2.0), None, None, torch.eye(4), plane(0.3))
+    plain.integrate(plane(2.0), None, None, torch.eye(4))
+    assert (plain.counts() > 0).any()
+    assert torch.equal(volume.sums, plain.sums)
+    volume.integrate(plane(0.0), plane(1.0), None, torch.eye(4), plane(0.3))
+    assert torch.equal(volume.sums, plain.sums)
 
 
 def test_readings_out_of_reach_and_holes_take_no_part():

@@ -5,7 +5,8 @@ import torch
 from uncle.recon.camera import Camera
 from uncle.recon.config import make_config
 from uncle.recon.frame import Frame
-from uncle.recon.mapper import Mapper
+from uncle.recon.mapper import DOUBT_BETAS, Mapper
+from uncle.recon.noise_features import FEATURES
 from uncle.recon.raycast import cast_rays
 
 CAMERA = Camera(80, 60, 60.0, 60.0, 39.5, 29.5)
@@ -30,6 +31,12 @@ def fuse_all(mapper: Mapper, frames: list[Frame], left_out: int | None = None) -
     for frame in frames:
         if frame.index != left_out:
             mapper.fuse(frame, mapper.features(frame, {"a": NORMALS}), torch.eye(4))
+
+
+def explore(mapper: Mapper, frame: Frame, pose: torch.Tensor | None = None) -> dict[str, torch.Tensor]:
+    """As the pipeline does: features first, then the first look at the frame."""
+    features = mapper.features(frame, dict.fromkeys(frame.depths, NORMALS))
+    return mapper.explore(frame, features, torch.eye(4) if pose is None else pose)
 
 
 def hits(mapper: Mapper, rays: dict[str, torch.Tensor]) -> torch.Tensor:
@@ -79,7 +86,7 @@ def test_weight_falls_with_the_square_of_beta():
 def test_without_uncertainty_every_reading_weighs_the_same():
     mapper = make_mapper("uncertainty.enabled=false")
     for index, depth in enumerate(DEPTHS[:3]):
-        assert mapper.explore(make_frame(index, depth), {"a": NORMALS}, torch.eye(4)) == {}
+        assert explore(mapper, make_frame(index, depth)) == {}
     torch.testing.assert_close(mapper.volume.sums[:, 0], mapper.volume.counts())
     assert (mapper.volume.counts() == 3).any()
 
@@ -92,7 +99,7 @@ def test_learns_which_sensor_lies():
         frame = make_frame(index, 2.0, 2.0, names=names)
         noise = torch.rand(60, 80, generator=generator) - 0.5
         frame.depths["bad"].add_(0.1 * noise)
-        mapper.explore(frame, dict.fromkeys(names, NORMALS), torch.eye(4))
+        explore(mapper, frame)
         rays = mapper._draw_rays(frame, mapper.features(frame, dict.fromkeys(names, NORMALS)), torch.eye(4))
         mapper.rays.add(rays, mapper.generator)
     losses = mapper.learn()
@@ -102,13 +109,39 @@ def test_learns_which_sensor_lies():
     assert beta["good"] < 0.5 * beta["bad"]
 
 
+def test_without_uncertainty_no_features_are_made():
+    frame = make_frame(0, 2.0)
+    assert make_mapper("uncertainty.enabled=false").features(frame, {"a": NORMALS}) == {}
+    assert make_mapper().features(frame, {"a": NORMALS})["a"].shape == (60, 80, len(FEATURES))
+
+
+def test_free_space_is_weighted_by_what_the_noise_model_doubts():
+    """Every beta is the same on a blank wall: free space gets the reading's weight times 1 - exp(-beyond / 2 beta)."""
+    mapper = make_mapper("fusion.blur_voxels=0")
+    frame = make_frame(0, 2.0)
+    mapper.volume.allocate(torch.full((60, 80), 1.0), torch.eye(4))  # blocks far before the wall
+    mapper.noise["a"].layers[-1].weight.data.zero_()
+    beta = float(explore(mapper, frame)["a"].mean())
+    volume = mapper.volume
+    z = volume.grid.block_positions(torch.arange(len(volume.grid.blocks))).view(-1, 3)[:, 2]
+    beyond = 2.0 - z - volume.truncation_m
+    seen = volume.counts() > 0
+    full = float(mapper.weight(torch.tensor(beta)))
+    free = seen & (beyond > 0.01)
+    assert free.sum() > 1000
+    expected = full * (1 - torch.exp(-beyond[free] / (DOUBT_BETAS * beta)))
+    torch.testing.assert_close(volume.sums[free, 0], expected, rtol=1e-3, atol=1e-6)
+    band = seen & (beyond < -0.01)
+    torch.testing.assert_close(volume.sums[band, 0], torch.full_like(z[band], full), rtol=1e-4, atol=0)
+
+
 def test_frame_without_readings_changes_nothing():
     mapper = make_mapper()
-    mapper.explore(make_frame(0, 0.0), {"a": NORMALS}, torch.eye(4))
+    explore(mapper, make_frame(0, 0.0))
     assert mapper.volume.grid.rows == 0
-    mapper.explore(make_frame(1, 2.0), {"a": NORMALS}, torch.eye(4))
+    explore(mapper, make_frame(1, 2.0))
     before = mapper.volume.sums.clone()
-    mapper.explore(make_frame(2, 0.0), {"a": NORMALS}, torch.eye(4))
+    explore(mapper, make_frame(2, 0.0))
     assert torch.equal(mapper.volume.sums, before)
 
 
@@ -119,13 +152,13 @@ def test_state_continues_bit_for_bit():
         pose[0, 3] = 0.3 * index  # moves on, so that keyframes are added and learned from
     unbroken, first = make_mapper(), make_mapper()
     for frame, pose in zip(frames[:3], poses[:3], strict=True):
-        unbroken.explore(frame, {"a": NORMALS}, pose)
-        first.explore(frame, {"a": NORMALS}, pose)
+        explore(unbroken, frame, pose)
+        explore(first, frame, pose)
     second = make_mapper()
     second.load_state_dict(first.state_dict())
     for mapper in (unbroken, second):
         for frame, pose in zip(frames[3:], poses[3:], strict=True):
-            mapper.explore(frame, {"a": NORMALS}, pose)
+            explore(mapper, frame, pose)
         mapper.learn()
     assert torch.equal(unbroken.volume.sums, second.volume.sums)
     assert torch.equal(unbroken.volume.color_sums, second.volume.color_sums)
