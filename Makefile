@@ -32,6 +32,7 @@ lint: $(STAMP)
 
 docs: $(STAMP)
 	$(BIN)/python docs/generate_cli.py
+	$(BIN)/python docs/generate_config.py
 
 # The machine is asked first, because a missing library would show much later and say much less.
 system:

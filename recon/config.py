@@ -18,57 +18,81 @@ class _Strict(BaseModel):
 class FusionConfig(_Strict):
     """Closed-form fusion of depth images."""
 
-    voxel_size_m: float = Field(0.02, gt=0.001, le=0.5)
-    truncation_voxels: float = Field(4.0, ge=2.0, le=16.0)
-    max_depth_m: float = Field(6.0, gt=0.1, le=1000.0)
-    blur_voxels: float = Field(0.25, ge=0)  # what the grid itself cannot resolve, added to beta in the weights
-    min_readings: float = Field(3.0, ge=1.0)  # a sample seen less often is not part of the surface
-    sweeps: int = Field(2, ge=0)  # fusions of all frames after the first one, each with what was learned before it
+    voxel_size_m: float = Field(0.02, gt=0.001, le=0.5, description="Distance between the samples of the map, metres.")
+    truncation_voxels: float = Field(
+        4.0, ge=2.0, le=16.0, description="Distances are cut off at this many voxels before and behind a reading."
+    )
+    max_depth_m: float = Field(6.0, gt=0.1, le=1000.0, description="Readings farther than this take no part, metres.")
+    blur_voxels: float = Field(
+        0.25, ge=0, description="What the grid itself cannot resolve, added to beta in the weights."
+    )
+    min_readings: float = Field(3.0, ge=1.0, description="A sample seen less often is not part of the surface.")
+    sweeps: int = Field(
+        2, ge=0, description="Fusions of all frames after the first one, each with what was learned before it."
+    )
 
 
 class UncertaintyConfig(_Strict):
-    """The network h_w of each sensor (paper section on uncertainty; METHOD.md section 3 gives the original)."""
+    """The network h_w of each sensor: from its image to the scale beta of the error of each reading."""
 
-    enabled: bool = True  # False: every reading weighs the same
-    hidden: int = Field(32, ge=4)
-    beta_min_m: float = Field(1e-3, gt=0)  # paper: 1e-3
-    learning_rate: float = Field(3e-3, gt=0)
-    steps_per_keyframe: int = Field(10, ge=0)
-    steps_per_sweep: int = Field(400, ge=0)
-    batch: int = Field(4096, ge=16)
+    enabled: bool = Field(True, description="Learn how noisy each sensor is; false: every reading weighs the same.")
+    hidden: int = Field(32, ge=4, description="Width of the two hidden layers.")
+    beta_min_m: float = Field(1e-3, gt=0, description="Smallest beta, metres (paper: 1e-3).")
+    learning_rate: float = Field(
+        3e-3, gt=0, description="Step size of Adam at the start of each round; it falls to a tenth."
+    )
+    steps_per_keyframe: int = Field(
+        10, ge=0, description="Steps on the pixels of each new keyframe, before it is fused."
+    )
+    steps_per_sweep: int = Field(400, ge=0, description="Steps on the pixels of all keyframes after each sweep.")
+    batch: int = Field(4096, ge=16, description="Pixels in each step.")
 
 
 class KeyframeConfig(_Strict):
     """Which frames lend their pixels to the learning."""
 
-    max_overlap: float = Field(0.9, gt=0, le=1.0)  # a frame is a keyframe if no earlier one sees more of it than this
-    rays: int = Field(3000, ge=100)  # pixels drawn from a keyframe
-    max_rays: int = Field(400_000, ge=1000)  # pixels kept in all; beyond it random ones make place
+    max_overlap: float = Field(
+        0.9, gt=0, le=1.0, description="A frame is a keyframe if no earlier one sees more of it than this share."
+    )
+    rays: int = Field(3000, ge=100, description="Pixels drawn from a keyframe.")
+    max_rays: int = Field(400_000, ge=1000, description="Pixels kept in all; beyond it random ones make place.")
 
 
 class FieldConfig(_Strict):
     """The neural field and its refinement by rendering."""
 
-    iterations: int = Field(300, ge=0)
-    rays: int = Field(2048, ge=64)
-    samples: int = Field(8, ge=4)
-    levels: tuple[Annotated[int, Field(ge=1, le=64)], ...] = (4, 12)  # cell sizes of the feature grids, in voxels
-    channels: int = Field(4, ge=1)
-    hidden: int = Field(24, ge=4)
-    learning_rate_sdf_m: float = Field(5e-4, gt=0)
-    learning_rate: float = Field(2e-3, gt=0)
-    color_weight: float = Field(0.1, ge=0)
-    prior_weight: float = Field(1.0, ge=0)
+    iterations: int = Field(
+        300, ge=0, description="Steps of the refinement by rendering; 0: the field is the fused map."
+    )
+    rays: int = Field(2048, ge=64, description="Rays rendered in each step.")
+    samples: int = Field(8, ge=4, description="Samples on each ray, around the present surface.")
+    levels: tuple[Annotated[int, Field(ge=1, le=64)], ...] = Field(
+        (4, 12), description="Cell sizes of the coarser feature grids, 1 to 64 voxels each."
+    )
+    channels: int = Field(4, ge=1, description="Features at each sample of those grids.")
+    hidden: int = Field(24, ge=4, description="Width of the decoder's hidden layer.")
+    learning_rate_sdf_m: float = Field(
+        5e-4, gt=0, description="Step size of Adam for the offsets at the samples near the surface, metres."
+    )
+    learning_rate: float = Field(2e-3, gt=0, description="Step size of Adam for the feature grids and the decoder.")
+    color_weight: float = Field(0.1, ge=0, description="Weight of the colour error beside the likelihood of depth.")
+    prior_weight: float = Field(1.0, ge=0, description="Weight of the pull back to the fused distances.")
 
 
 class MapConfig(_Strict):
     """Everything that decides the result of `uncle map`."""
 
-    method: Literal["uncle", "tsdf"] = "uncle"
-    sensors: tuple[str, ...] = ()
-    seed: int = Field(0, ge=0, lt=2**63)
-    device: Literal["auto", "cpu", "cuda"] = "auto"
-    hold_out: int = Field(0, ge=0)  # every n-th frame is kept out of the map, to be scored by `uncle eval`; 0 = none
+    method: Literal["uncle", "tsdf"] = Field("uncle", description="The preset; set by `--method`.")
+    sensors: tuple[str, ...] = Field(
+        (), description="Sensors to use, empty: all but the ground truth; set by `--sensors`."
+    )
+    seed: int = Field(0, ge=0, lt=2**63, description="Seed of all randomness; set by `--seed`.")
+    device: Literal["auto", "cpu", "cuda"] = Field(
+        "auto", description="Where tensors live; auto takes CUDA where there is one; set by `--device`."
+    )
+    hold_out: int = Field(
+        0, ge=0, description="Every n-th frame is kept out of the map, to be scored by `uncle eval`; 0: none."
+    )
     fusion: FusionConfig = FusionConfig()
     uncertainty: UncertaintyConfig = UncertaintyConfig()
     keyframes: KeyframeConfig = KeyframeConfig()

@@ -8,6 +8,7 @@ from pathlib import Path
 import click
 import pytest
 from uncle.cli.main import COMMANDS, main
+from uncle.recon.config import known_keys
 from uncle.recon.run import FrameRecord, Manifest, RunDirectory, StageRecord
 
 ROOT = Path(__file__).parents[1]
@@ -52,9 +53,29 @@ def test_commands_in_the_docs_parse(page, line):
     command.make_context(words[0], words[1:], parent=context, resilient_parsing=False).close()
 
 
-def test_cli_reference_is_current():
-    page = runpy.run_path(str(ROOT / "docs" / "generate_cli.py"))
+@pytest.mark.parametrize("script", ["generate_cli.py", "generate_config.py"])
+def test_generated_pages_are_current(script):
+    page = runpy.run_path(str(ROOT / "docs" / script))
     assert page["PAGE"].read_text() == page["render"](), "run `make docs`"
+    assert f"python docs/{script}" in (ROOT / "Makefile").read_text()
+
+
+def test_every_setting_is_described():
+    rows = (ROOT / "docs" / "config.md").read_text().splitlines()
+    for key in known_keys():
+        cells = [row.split("|") for row in rows if row.startswith(f"| `{key}` |")]
+        assert len(cells) == 1, f"{key} is not in docs/config.md"
+        assert len(cells[0][-2].strip()) > 10, f"{key} has no description in recon/config.py"
+
+
+def test_the_method_page_names_functions_that_exist():
+    """`[file.py](../recon/file.py) `name`, `name`` in the table of docs/method.md."""
+    text = (ROOT / "docs" / "method.md").read_text()
+    named = re.findall(r"\(\.\./(recon/\w+\.py)\),? ((?:`\w+`(?:, )?)+)", text)
+    assert len(named) > 12
+    for path, names in named:
+        for name in re.findall(r"\w+", names):
+            assert re.search(rf"(?:def|class) {name}\b", (ROOT / path).read_text()), f"{path} has no {name}"
 
 
 def test_every_file_of_a_run_is_described():
