@@ -24,11 +24,11 @@ class FusionConfig(_Strict):
     )
     max_depth_m: float = Field(6.0, gt=0.1, le=1000.0, description="Readings farther than this take no part, metres.")
     blur_voxels: float = Field(
-        0.25, ge=0, description="What the grid itself cannot resolve, added to beta in the weights."
+        0.5, ge=0, description="What the grid itself cannot resolve, added to beta in the weights."
     )
     min_readings: float = Field(3.0, ge=1.0, description="A sample seen less often is not part of the surface.")
     sweeps: int = Field(
-        2, ge=0, description="Fusions of all frames after the first one, each with what was learned before it."
+        1, ge=0, description="Fusions of all frames after the first one, each with what was learned before it."
     )
 
 
@@ -62,7 +62,7 @@ class FieldConfig(_Strict):
     """The neural field and its refinement by rendering."""
 
     iterations: int = Field(
-        300, ge=0, description="Steps of the refinement by rendering; 0: the field is the fused map."
+        200, ge=0, description="Steps of the refinement by rendering; 0: the field is the fused map."
     )
     rays: int = Field(2048, ge=64, description="Rays rendered in each step.")
     samples: int = Field(8, ge=4, description="Samples on each ray, around the present surface.")
@@ -72,9 +72,9 @@ class FieldConfig(_Strict):
     channels: int = Field(4, ge=1, description="Features at each sample of those grids.")
     hidden: int = Field(24, ge=4, description="Width of the decoder's hidden layer.")
     learning_rate_sdf_m: float = Field(
-        5e-4, gt=0, description="Step size of Adam for the offsets at the samples near the surface, metres."
+        1e-4, gt=0, description="Step size of Adam for the offsets at the samples near the surface, metres."
     )
-    learning_rate: float = Field(2e-3, gt=0, description="Step size of Adam for the feature grids and the decoder.")
+    learning_rate: float = Field(2.5e-4, gt=0, description="Step size of Adam for the feature grids and the decoder.")
     color_weight: float = Field(0.1, ge=0, description="Weight of the colour error beside the likelihood of depth.")
     prior_weight: float = Field(1.0, ge=0, description="Weight of the pull back to the fused distances.")
 

@@ -18,6 +18,7 @@ from .raycast import cast_rays
 from .uncertainty import NoiseModel
 
 WEIGHT_SCALE_M = 0.01  # a reading with this beta weighs 1
+WEIGHT_FLOOR = 0.5  # of the median weight of the image
 DOUBT_BETAS = 2.0  # a reading vouches for free space on the scale of this many betas before it
 _MAX_SELF_SHARE = 0.9  # readings that make up more of the map than this say nothing about themselves
 _MAX_RESIDUAL_M = 1.0
@@ -47,7 +48,7 @@ class Mapper:
         if self.selector.is_keyframe(frame, T_world_camera):
             rays = self._draw_rays(frame, features, T_world_camera)
             if self.config.uncertainty.enabled and self.volume.grid.rows:
-                self._learn(rays, self.config.uncertainty.steps_per_keyframe)
+                self._learn(rays, self.config.uncertainty.steps_per_keyframe, fused=False)
             self.rays.add(rays, self.generator)
         for depth in frame.depths.values():
             self.volume.allocate(depth.to(self.device), T_world_camera)
@@ -61,7 +62,7 @@ class Mapper:
             depth, weight, doubt_m = depth.to(self.device), None, None
             if self.config.uncertainty.enabled:
                 betas[sensor] = self.noise[sensor].beta_image(depth, features[sensor].to(self.device))
-                weight = self.weight(betas[sensor])
+                weight = _with_floor(self.weight(betas[sensor]), depth > 0)
                 doubt_m = DOUBT_BETAS * betas[sensor]
             self.volume.integrate(depth, weight, color, T_world_camera, doubt_m)
         return betas
@@ -84,13 +85,14 @@ class Mapper:
     # --- the whole map -----------------------------------------------------------------------------------------
     def learn(self) -> dict[str, float]:
         """Fit the noise models to the residuals of all keyframe rays against the whole map; returns the mean nats."""
-        return self._learn(self.rays.columns, self.config.uncertainty.steps_per_sweep)
+        return self._learn(self.rays.columns, self.config.uncertainty.steps_per_sweep, fused=True)
 
     def known(self) -> Tensor:
         """(R,) samples that enough readings saw."""
         return self.volume.counts() >= self.config.fusion.min_readings
 
-    def _learn(self, rays: dict[str, Tensor], steps: int) -> dict[str, float]:
+    def _learn(self, rays: dict[str, Tensor], steps: int, fused: bool) -> dict[str, float]:
+        """`fused`: the map holds these rays already, which must be taken out of their own residuals."""
         sdf = self.volume.sdf()
         hit = cast_rays(
             self.volume.grid, sdf, self.known(), rays["origins"], rays["directions"],
@@ -100,26 +102,28 @@ class Mapper:
         for column, (sensor, model) in enumerate(self.noise.items()):
             depth, features = rays["depths"][:, column], rays["features"][:, column]
             used = (depth > 0) & (hit > 0)
-            residual, trusted = self._residuals(model, rays, depth, features, hit, used)
-            losses[sensor] = model.learn(features[used][trusted], residual[trusted], steps, self.generator)
+            residual, inputs = (depth[used] - hit[used]).abs(), features[used]
+            if fused:
+                points = rays["origins"][used] + rays["directions"][used] * hit[used, None]
+                residual, trusted = self._without_itself(residual, self.weight(model(inputs.float())), points)
+                residual, inputs = residual[trusted], inputs[trusted]
+            residual = residual.clamp(max=_MAX_RESIDUAL_M)
+            losses[sensor] = model.learn(inputs, residual, steps, self.generator)
         return losses
 
     @torch.no_grad()
-    def _residuals(self, model, rays, depth, features, hit, used) -> tuple[Tensor, Tensor]:
-        """|D - D_hat| against the map without the reading itself, metres, and which of them can be trusted.
+    def _without_itself(self, residual: Tensor, own: Tensor, points: Tensor) -> tuple[Tensor, Tensor]:
+        """Residuals (N,) metres against the map without the reading itself, and which of them can be trusted.
 
-        The map is a weighted mean, so leaving one reading of weight w out of a total W stretches its residual by
-        1 / (1 - w / W): a reading must not vouch for itself.
+        The map is a weighted mean, so leaving one reading of weight `own` (N,) out of a total W at `points` (N, 3)
+        stretches its residual by 1 / (1 - own / W): a reading must not vouch for itself.
         """
-        points = rays["origins"][used] + rays["directions"][used] * hit[used, None]
         rows = self.volume.grid.nearest_rows(points)
         total = self.volume.sums[rows.clamp(min=0), 0]
-        own = self.weight(model(features[used].float()))
         share = (own / total.clamp(min=1e-9)).clamp(max=1.0)
-        residual = (depth[used] - hit[used]).abs()
         near = residual < self.volume.truncation_m  # a reading further off had no say at this sample
         stretched = torch.where(near, residual / (1 - share.clamp(max=_MAX_SELF_SHARE)), residual)
-        return stretched.clamp(max=_MAX_RESIDUAL_M), ~near | (share < _MAX_SELF_SHARE)
+        return stretched, ~near | (share < _MAX_SELF_SHARE)
 
     def _draw_rays(self, frame: Frame, features: dict[str, Tensor], T_world_camera: Tensor) -> dict[str, Tensor]:
         depths = torch.stack([depth.reshape(-1) for depth in frame.depths.values()], 1)
@@ -162,3 +166,11 @@ class Mapper:
         self.selector.T_camera_world = list(state["keyframes"])
         self.rays.columns = {name: values.to(self.device) for name, values in state["rays"].items()}
         self.generator.set_state(state["generator"].cpu())
+
+
+def _with_floor(weight: Tensor, valid: Tensor) -> Tensor:
+    """Weights (H, W) of an image, none below `WEIGHT_FLOOR` of their median.
+
+    A silhouette is noisy in every view; without a floor the steadier background behind it would outvote it away.
+    """
+    return weight.clamp(min=float(WEIGHT_FLOOR * weight[valid].median())) if bool(valid.any()) else weight

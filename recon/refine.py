@@ -17,7 +17,7 @@ from .rendering import render_depth, render_values, sdf_weights
 from .uncertainty import START_BETA_M, NoiseModel
 
 SPAN_VOXELS = 2.5  # samples reach this far before and behind the present surface
-SHARPNESS_VOXELS = 0.7
+SHARPNESS_VOXELS = 0.4  # the bell must end within the span, or the rendered depth follows the surface only in part
 _FINAL_RATE = 0.05  # share of the learning rate that is left at the end
 
 
@@ -44,7 +44,9 @@ def render_rays(field: NeuralField, origins: Tensor, directions: Tensor, z: Tens
     known = known.view(z.shape)
     weights = sdf_weights(sdf.view(z.shape), known, SHARPNESS_VOXELS * field.grid.voxel_size_m)
     depth, variance = render_depth(weights, z)
-    return RenderedRays(depth, variance, render_values(weights, rgb.view(*z.shape, 3)), known.sum(1) >= 3)
+    # Colour is fused closer to the surface than distances are; it is fitted where the depth says the surface is.
+    color = render_values(weights.detach(), rgb.view(*z.shape, 3))
+    return RenderedRays(depth, variance, color, known.sum(1) >= 3)
 
 
 def refine(

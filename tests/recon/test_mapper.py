@@ -5,7 +5,7 @@ import torch
 from uncle.recon.camera import Camera
 from uncle.recon.config import make_config
 from uncle.recon.frame import Frame
-from uncle.recon.mapper import DOUBT_BETAS, Mapper
+from uncle.recon.mapper import DOUBT_BETAS, WEIGHT_FLOOR, Mapper, _with_floor
 from uncle.recon.noise_features import FEATURES
 from uncle.recon.raycast import cast_rays
 
@@ -44,6 +44,12 @@ def hits(mapper: Mapper, rays: dict[str, torch.Tensor]) -> torch.Tensor:
     return cast_rays(volume.grid, volume.sdf(), mapper.known(), rays["origins"], rays["directions"], 5.0, 0.1)
 
 
+def without_itself(mapper, rays, hit, used):
+    points = rays["origins"][used] + rays["directions"][used] * hit[used, None]
+    own = mapper.weight(mapper.noise["a"](rays["features"][used, 0].float()))
+    return mapper._without_itself((rays["depths"][used, 0] - hit[used]).abs(), own, points)
+
+
 @pytest.mark.parametrize("left_out", range(len(DEPTHS)))
 def test_residual_is_that_against_a_map_without_the_reading(left_out):
     frames = [make_frame(index, depth) for index, depth in enumerate(DEPTHS)]
@@ -55,7 +61,7 @@ def test_residual_is_that_against_a_map_without_the_reading(left_out):
     depth, hit, expected = rays["depths"][:, 0], hits(mapper, rays), hits(without, rays)
     used = (hit > 0) & (expected > 0)
     assert used.float().mean() > 0.8
-    residual, trusted = mapper._residuals(mapper.noise["a"], rays, depth, rays["features"][:, 0], hit, used)
+    residual, trusted = without_itself(mapper, rays, hit, used)
     assert trusted.all()
     true = (depth - expected).abs()[used]
     assert float(true.median()) > 0.0015
@@ -72,7 +78,7 @@ def test_a_reading_alone_says_nothing_about_itself():
     hit = hits(mapper, rays)
     assert (hit > 0).float().mean() > 0.8
     used = hit > 0
-    _, trusted = mapper._residuals(mapper.noise["a"], rays, rays["depths"][:, 0], rays["features"][:, 0], hit, used)
+    _, trusted = without_itself(mapper, rays, hit, used)
     assert not trusted.any()
 
 
@@ -168,3 +174,10 @@ def test_state_continues_bit_for_bit():
     assert len(unbroken.selector.T_camera_world) == len(second.selector.T_camera_world) > 1
     for ours, theirs in zip(unbroken.noise["a"].parameters(), second.noise["a"].parameters(), strict=True):
         assert torch.equal(ours, theirs)
+
+
+def test_weights_have_a_floor_below_the_typical_one_of_their_image():
+    weight, valid = torch.tensor([[0.001, 1.0, 3.0, 99.0]]), torch.tensor([[True, True, True, False]])
+    floored = _with_floor(weight, valid)[valid]
+    torch.testing.assert_close(floored, torch.tensor([WEIGHT_FLOOR * 1.0, 1.0, 3.0]))
+    assert _with_floor(weight, torch.zeros_like(valid)) is weight

@@ -20,7 +20,7 @@ VOXEL, SHIFT, FAR, STEP = 0.02, 0.01, 3.0, 0.06
 @pytest.fixture
 def scene() -> tuple[NeuralField, RayStore, torch.Tensor]:
     """A slanted plane fused 1 cm too far away, exact rays to it, and their true depths."""
-    return make_scene(FieldConfig(iterations=150, rays=512, learning_rate_sdf_m=1e-3))
+    return make_scene(FieldConfig(iterations=150, rays=512, learning_rate_sdf_m=1e-3, learning_rate=2e-3))
 
 
 def make_scene(config: FieldConfig) -> tuple[NeuralField, RayStore, torch.Tensor]:
