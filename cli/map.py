@@ -36,18 +36,17 @@ def command(
     uncle map --method tsdf --set fusion.voxel_size_m=0.01
     """
     from ..recon.config import make_config
+    from ..recon.events import Note
     from ..recon.map_stage import map_run
     from ..recon.run import RunDirectory
 
     settings = list(overrides) + ([f"fusion.voxel_size_m={voxel}"] if voxel is not None else [])
     config = make_config(method, settings, sensors=sensors, seed=seed, device=device, hold_out=hold_out or 0)
-    run = RunDirectory(run_path)
-    summary = map_run(run, config, resume=resume, overwrite=overwrite, on_event=listener(ctx))
+    say = listener(ctx)
+    summary = map_run(RunDirectory(run_path), config, resume=resume, overwrite=overwrite, on_event=say)
     if summary.unchanged:
-        click.echo(f"The map of {run_path} is done and unchanged; --overwrite redoes it.", err=True)
+        say(Note(f"The map of {run_path} is done and unchanged; --overwrite redoes it."))
         return
     rate = summary.frames / max(summary.seconds, 1e-9)
-    click.echo(
-        f"Mapped {summary.frames} frames in {summary.seconds:.1f} s ({rate:.1f} frames/s, "
-        f"{summary.peak_memory_mb:.0f} MB at most). Next: uncle mesh --run {run_path}", err=True,
-    )  # fmt: skip
+    figures = f"{summary.seconds:.1f} s ({rate:.1f} frames/s, {summary.peak_memory_mb:.0f} MB at most)"
+    say(Note(f"Mapped {summary.frames} frames in {figures}. Next: uncle mesh --run {run_path}"))

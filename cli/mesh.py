@@ -27,17 +27,17 @@ def command(
     out: Path | None, overwrite: bool,
 ) -> None:  # fmt: skip
     """Extract the surface of a finished map as PLY: colour, and confidence (1 sigma, metres) per vertex."""
+    from ..recon.events import Note
     from ..recon.mesh_stage import mesh_run
     from ..recon.run import RunDirectory
 
+    say = listener(ctx)
     summary = mesh_run(
         RunDirectory(run_path), voxel_size_m=voxel, clean=clean, max_sigma_m=min_confidence, out=out,
-        overwrite=overwrite, on_event=listener(ctx),
+        overwrite=overwrite, on_event=say,
     )  # fmt: skip
     if summary.unchanged:
-        click.echo(f"{summary.path} is done and unchanged; --overwrite redoes it.", err=True)
+        say(Note(f"{summary.path} is done and unchanged; --overwrite redoes it."))
         return
-    click.echo(
-        f"Wrote {summary.path}: {summary.vertices} vertices, {summary.faces} triangles. "
-        f"Next: uncle eval --run {run_path}", err=True,
-    )  # fmt: skip
+    size = f"{summary.vertices} vertices, {summary.faces} triangles"
+    say(Note(f"Wrote {summary.path}: {size}. Next: uncle eval --run {run_path}"))
