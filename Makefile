@@ -17,7 +17,7 @@ STAMP := $(VENV)/.installed
 .DEFAULT_GOAL := test
 
 demo: $(STAMP)
-	$(BIN)/uncle demo $(DEMO)
+	$(BIN)/uncle demo --out $(DEMO)
 	@echo "The report: $$(find $(DEMO) -name report.html | head -1)"
 
 test: $(STAMP)
