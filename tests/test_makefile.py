@@ -3,8 +3,10 @@
 import re
 from pathlib import Path
 
+import click
 from click.testing import CliRunner
 from uncle.cli.demo import command
+from uncle.cli.main import main
 
 MAKEFILE = Path(__file__).parent.parent / "Makefile"
 
@@ -12,6 +14,7 @@ MAKEFILE = Path(__file__).parent.parent / "Makefile"
 def test_the_demo_command_of_the_makefile_parses():
     recipe = re.search(r"BIN\)/uncle demo(.*)$", MAKEFILE.read_text(), re.MULTILINE)
     arguments = recipe.group(1).replace("$(DEMO)", "demo").split()
-    context = command.make_context("demo", arguments)
+    parent = click.Context(main, info_name="uncle", **main.context_settings)
+    context = command.make_context("demo", arguments, parent=parent)
     assert str(context.params["out"]) == "demo"
-    assert CliRunner().invoke(command, ["demo"]).exit_code == 2  # a bare folder is not an argument
+    assert CliRunner().invoke(main, ["demo", "demo"]).exit_code == 2  # a bare folder is not an argument
