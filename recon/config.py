@@ -150,6 +150,8 @@ def _set(values: dict[str, Any], override: str) -> None:
     key = key.strip()
     if not equals:
         raise ConfigError(f"--set {override!r}: expected key=value, for example --set fusion.voxel_size_m=0.01")
+    if key == "method":
+        raise ConfigError(f"--set {override!r}: a method is a preset, chosen with --method")
     known = known_keys()
     if key not in known:
         close = difflib.get_close_matches(key, known, n=1, cutoff=0.4)

@@ -87,3 +87,8 @@ def test_every_known_key_can_be_set():
         )
         value = str(value).lower() if isinstance(default, bool) else value
         assert make_config("uncle", [f"{key}={value}"]) == MapConfig()
+
+
+def test_the_method_is_no_setting_to_override():
+    with pytest.raises(ConfigError, match="--method"):
+        make_config("uncle", ["method=tsdf"])
