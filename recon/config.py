@@ -115,6 +115,8 @@ def make_config(method: str, overrides: list[str], **top_level: Any) -> MapConfi
     values: dict[str, Any] = {"method": method, **{k: dict(v) for k, v in PRESETS[method].items()}, **top_level}
     for override in overrides:
         _set(values, override)
+    if values["method"] != method:
+        raise ConfigError(f"--set method={values['method']}: a method is a preset, chosen with --method")
     try:
         return MapConfig.model_validate(values)
     except ValidationError as error:
@@ -150,8 +152,6 @@ def _set(values: dict[str, Any], override: str) -> None:
     key = key.strip()
     if not equals:
         raise ConfigError(f"--set {override!r}: expected key=value, for example --set fusion.voxel_size_m=0.01")
-    if key == "method":
-        raise ConfigError(f"--set {override!r}: a method is a preset, chosen with --method")
     known = known_keys()
     if key not in known:
         close = difflib.get_close_matches(key, known, n=1, cutoff=0.4)
