@@ -35,6 +35,16 @@ class FusionVolume:
         self.color_sums = torch.zeros(0, 4, device=grid.device)
         self._rays = camera.rays(grid.device)
 
+    @property
+    def ray_far_m(self) -> float:
+        """How far along a ray the fused surface can lie (with slack for slanted rays and noise), metres of z-depth."""
+        return 1.2 * self.max_depth_m
+
+    @property
+    def ray_step_m(self) -> float:
+        """Step along a ray that cannot jump over the truncation band, metres."""
+        return 0.75 * self.truncation_m
+
     def allocate(self, depth: Tensor, T_world_camera: Tensor) -> None:
         """Make blocks along the band of +- truncation around each reading of `depth` (H, W) metres."""
         stride = max(1, int(0.5 * self.grid.block_size_m * self.camera.fx / self.max_depth_m))

@@ -83,8 +83,7 @@ def choose_sensors(manifest: Manifest, wanted: tuple[str, ...]) -> tuple[str, ..
     unknown = [sensor for sensor in wanted if sensor not in manifest.sensors]
     if unknown:
         raise ConfigError(f"no sensor called {unknown[0]!r} in this run; it has: {', '.join(manifest.sensors)}")
-    chosen = tuple(dict.fromkeys(wanted)) or tuple(s for s in manifest.sensors if s != "gt") or manifest.sensors
-    return chosen
+    return tuple(dict.fromkeys(wanted)) or tuple(s for s in manifest.sensors if s != "gt") or manifest.sensors
 
 
 def split_frames(frames: RunFrames, config: MapConfig, on_event: OnEvent = ignore) -> tuple[list[int], list[int]]:
@@ -95,7 +94,7 @@ def split_frames(frames: RunFrames, config: MapConfig, on_event: OnEvent = ignor
         on_event(Warn(f"{len(frames) - len(posed)} of {len(frames)} frames have no camera pose and are left out"))
     every = config.hold_out
     held_out = [index for index in posed if every and index % every == every - 1]
-    return [index for index in posed if index not in set(held_out)], held_out
+    return sorted(set(posed) - set(held_out)), held_out
 
 
 def peak_memory_mb() -> float:

@@ -96,7 +96,7 @@ class Mapper:
         sdf = self.volume.sdf()
         hit = cast_rays(
             self.volume.grid, sdf, self.known(), rays["origins"], rays["directions"],
-            self.config.fusion.max_depth_m * 1.2, 0.75 * self.volume.truncation_m,
+            self.volume.ray_far_m, self.volume.ray_step_m,
         )  # fmt: skip
         losses = {}
         for column, (sensor, model) in enumerate(self.noise.items()):

@@ -150,8 +150,8 @@ def _end_sweep(mapper: Mapper, progress: Progression, last: bool) -> None:
 def _refined_field(mapper: Mapper, config: MapConfig, on_event: OnEvent) -> tuple[NeuralField, list[float]]:
     generator = torch.Generator().manual_seed(config.seed)
     result = NeuralField.from_fusion(mapper.volume, config.fusion.min_readings, config.field, generator)
-    far, step = config.fusion.max_depth_m * 1.2, 0.75 * mapper.volume.truncation_m
-    losses = refine(result, mapper.rays, mapper.noise, config.field, far, step, generator, on_event)
+    far_m, step_m = mapper.volume.ray_far_m, mapper.volume.ray_step_m
+    losses = refine(result, mapper.rays, mapper.noise, config.field, far_m, step_m, generator, on_event)
     return result, losses
 
 
