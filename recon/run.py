@@ -86,6 +86,10 @@ class RunDirectory:
         return self.root / "trajectory_gt.txt"
 
     @property
+    def tracking_path(self) -> Path:
+        return self.root / "tracking.json"
+
+    @property
     def field_path(self) -> Path:
         return self.root / "map" / "field.pt"
 

@@ -1,0 +1,61 @@
+"""What the tracker says about each frame: how sure it is of the camera, and where it lost it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Literal
+
+from pydantic import BaseModel, ConfigDict, ValidationError
+
+from .errors import DataError
+from .storage import write_text
+
+Status = Literal["tracked", "weak", "lost", "relocalised"]
+
+
+class TrackedFrame(BaseModel):
+    """status      tracked: well determined; weak: some direction is held by the motion of the frames around it;
+                   lost: no pose, nothing fused; relocalised: found again after it was lost
+    covariance  (6, 6) of the small motion x in T_world_camera @ exp(x): 3 of translation, metres, then 3 of
+                rotation, radians, in the axes of the camera; None where the camera is lost
+    matches     features that agree with the pose
+    """
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+    index: int
+    timestamp: float
+    status: Status
+    matches: int = 0
+    covariance: list[list[float]] | None = None
+
+
+class TrackingRecord(BaseModel):
+    """`tracking.json` of a run: every frame that was tracked or lost, in order."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+    frames: tuple[TrackedFrame, ...]
+
+    def save(self, path: Path) -> None:
+        """Raises RunError."""
+        write_text(path, self.model_dump_json() + "\n")
+
+    @staticmethod
+    def load(path: Path) -> TrackingRecord:
+        """Raises DataError."""
+        try:
+            return TrackingRecord.model_validate_json(path.read_text())
+        except (OSError, ValidationError) as error:
+            raise DataError(f"cannot read {path}: {error}; redo it with `uncle map --track --overwrite`") from error
+
+    def lost_ranges(self) -> list[tuple[int, int]]:
+        """First and last index of each stretch of lost frames."""
+        ranges: list[tuple[int, int]] = []
+        previous_lost = False
+        for frame in self.frames:
+            if frame.status == "lost":
+                if previous_lost:
+                    ranges[-1] = (ranges[-1][0], frame.index)
+                else:
+                    ranges.append((frame.index, frame.index))
+            previous_lost = frame.status == "lost"
+        return ranges
