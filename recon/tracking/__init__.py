@@ -6,8 +6,8 @@ from typing import Protocol
 
 import numpy as np
 
-from .errors import DataError
-from .frame import Frame
+from ..errors import DataError
+from ..frame import Frame
 
 
 class Tracker(Protocol):

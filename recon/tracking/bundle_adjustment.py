@@ -1,0 +1,224 @@
+"""Bundle adjustment of cameras and landmarks from pixels and depth readings of any number of sensors.
+
+Minimises, over poses T_world_camera and points X, the robust sum of
+  |uv - projection(X)|^2 / sigma_px^2    and, for each sensor,    (1/z - 1/depth)^2 / sigma_inverse^2,
+with sigma_inverse from the learned uncertainty of the reading: Gauss-Newton with Levenberg-Marquardt damping, the points
+eliminated by the Schur complement (Triggs et al. 2000).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy import sparse
+from scipy.linalg import cho_factor, cho_solve
+
+from ..camera import Camera
+from .motion import cross_matrix, inverse, motion_between, moved, transform
+
+PIXEL_SCALE = 2.0  # residuals, in sigmas, beyond which an observation loses influence (Cauchy)
+DEPTH_SCALE = 2.0
+_MIN_Z_M = 0.05
+
+
+@dataclass(frozen=True)
+class Observations:
+    """Who saw what. camera, point (M,) int64 indices; uv (M, 2) and sigma_px (M,) pixels; depths (M, S) metres,
+    0 = no reading, and sigmas_m (M, S)."""
+
+    camera: np.ndarray
+    point: np.ndarray
+    uv: np.ndarray
+    sigma_px: np.ndarray
+    depths: np.ndarray
+    sigmas_m: np.ndarray
+
+    def __len__(self) -> int:
+        return len(self.camera)
+
+    def __getitem__(self, kept: np.ndarray) -> Observations:
+        return Observations(*(getattr(self, name)[kept] for name in self.__dataclass_fields__))
+
+
+@dataclass(frozen=True)
+class Adjusted:
+    """poses (C, 4, 4), points (P, 3), cost of the last accepted step, information (C, 6, 6) of each pose alone."""
+
+    poses: np.ndarray
+    points: np.ndarray
+    cost: float
+    information: np.ndarray
+
+
+@dataclass(frozen=True)
+class _Linearised:
+    cost: float
+    U: np.ndarray  # (C, 6, 6)
+    g_camera: np.ndarray  # (C, 6)
+    V: np.ndarray  # (P, 3, 3)
+    g_point: np.ndarray  # (P, 3)
+    W: np.ndarray  # (M, 6, 3)
+
+
+def adjust(
+    camera: Camera,
+    poses: np.ndarray,
+    points: np.ndarray,
+    observations: Observations,
+    free_poses: np.ndarray,
+    *,
+    free_points: bool = True,
+    iterations: int = 10,
+    prior: tuple[np.ndarray, np.ndarray] | None = None,
+) -> Adjusted:
+    """Improve poses (C, 4, 4) where `free_poses` (C,) and, if `free_points`, points (P, 3). Nothing gets worse.
+
+    `prior`: (C, 4, 4) expected poses and (C, 6, 6) information of that expectation.
+    """
+    damping = 1e-4
+    now = _linearise(camera, poses, points, observations, prior)
+    for _ in range(iterations):
+        step_poses, step_points = _solve(now, observations, free_poses, free_points, damping)
+        new_poses, new_points = moved(poses, step_poses), points + step_points
+        then = _linearise(camera, new_poses, new_points, observations, prior)
+        if not then.cost < now.cost:  # also where it is not a number
+            damping *= 10
+            if damping > 1e3:
+                break
+            continue
+        gain = now.cost - then.cost
+        poses, points, now = new_poses, new_points, then
+        damping = max(damping / 5, 1e-7)
+        if gain < 1e-5 * now.cost:
+            break
+    return Adjusted(poses, points, now.cost, now.U)
+
+
+def residuals(
+    camera: Camera, T_world_camera: np.ndarray, points: np.ndarray, observations: Observations
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Whitened residuals (M, 2 + S) and their derivatives by the motion of the camera (M, 2 + S, 6) and by the point
+    (M, 2 + S, 3); T_world_camera (M, 4, 4) and points (M, 3) of each observation. 0 where there is no reading."""
+    local = transform(inverse(T_world_camera), points)
+    x, y, z = local[:, 0], local[:, 1], np.maximum(local[:, 2], _MIN_Z_M)
+    inverse_z = 1 / z
+    focal = np.array([camera.fx, camera.fy])
+    projected = focal * local[:, :2] * inverse_z[:, None] + np.array([camera.cx, camera.cy])
+    zero = np.zeros_like(z)
+    d_pixel = np.stack(
+        [
+            np.stack([camera.fx * inverse_z, zero, -camera.fx * x * inverse_z**2], -1),
+            np.stack([zero, camera.fy * inverse_z, -camera.fy * y * inverse_z**2], -1),
+        ],
+        1,
+    ) / observations.sigma_px[:, None, None]  # fmt: skip
+    read = observations.depths > 0
+    depths = np.where(read, observations.depths, 1.0)
+    sharpness = np.where(read, depths**2 / np.maximum(observations.sigmas_m, 1e-6), 0.0)  # 1 / sigma of 1 / depth
+    r_depth = (inverse_z[:, None] - 1 / depths) * sharpness
+    d_depth = np.zeros((*read.shape, 3))
+    d_depth[..., 2] = -(inverse_z**2)[:, None] * sharpness
+    r = np.concatenate([(projected - observations.uv) / observations.sigma_px[:, None], r_depth], 1)
+    d_local = np.concatenate([d_pixel, d_depth], 1)
+    behind = local[:, 2] < _MIN_Z_M
+    d_local[behind] = 0.0
+    d_motion = np.concatenate([-d_local, d_local @ cross_matrix(local)], -1)
+    d_point = d_local @ np.swapaxes(T_world_camera[:, :3, :3], 1, 2)
+    return r, d_motion, d_point
+
+
+def robust_weights(r: np.ndarray) -> tuple[np.ndarray, float]:
+    """Weights (M, 2 + S) of whitened residuals and their robust cost (Cauchy); the two of a pixel are one residual."""
+    squared = np.concatenate([np.repeat((r[:, :2] ** 2).sum(1, keepdims=True), 2, 1), r[:, 2:] ** 2], 1)
+    scale = np.full(r.shape[1], DEPTH_SCALE**2)
+    scale[:2] = PIXEL_SCALE**2
+    ratio = squared / scale
+    cost = scale * np.log1p(ratio)
+    return 1 / (1 + ratio), float(cost[:, 0].sum() + cost[:, 2:].sum())
+
+
+def _linearise(camera, poses, points, observations, prior) -> _Linearised:
+    r, d_motion, d_point = residuals(camera, poses[observations.camera], points[observations.point], observations)
+    weights, cost = robust_weights(r)
+    weighted_motion, weighted_point = d_motion * weights[..., None], d_point * weights[..., None]
+    transposed = np.swapaxes(weighted_motion, 1, 2)
+    U = _sum_by(observations.camera, transposed @ d_motion, len(poses))
+    g_camera = _sum_by(observations.camera, (transposed @ r[..., None])[..., 0], len(poses))
+    transposed_point = np.swapaxes(weighted_point, 1, 2)
+    V = _sum_by(observations.point, transposed_point @ d_point, len(points))
+    g_point = _sum_by(observations.point, (transposed_point @ r[..., None])[..., 0], len(points))
+    if prior is not None:
+        off = motion_between(prior[0], poses)
+        pull = (prior[1] @ off[..., None])[..., 0]
+        cost += float((off * pull).sum())
+        U, g_camera = U + prior[1], g_camera + pull
+    return _Linearised(cost, U, g_camera, V, g_point, transposed @ d_point)
+
+
+def _solve(system: _Linearised, observations, free_poses, free_points, damping) -> tuple[np.ndarray, np.ndarray]:
+    """Steps (C, 6) and (P, 3) of the damped normal equations."""
+    step_poses, step_points = np.zeros_like(system.g_camera), np.zeros_like(system.g_point)
+    free = np.flatnonzero(free_poses)
+    U = _damped(system.U[free], damping)
+    if not free_points:
+        step_poses[free] = -np.linalg.solve(U, system.g_camera[free][..., None])[..., 0]
+        return step_poses, step_points
+    V_inverse = np.linalg.inv(_damped(system.V, damping))
+    if len(free):
+        step_poses[free] = _reduced_step(system, observations, free, U, V_inverse)
+    back = (np.swapaxes(system.W, 1, 2) @ step_poses[observations.camera][..., None])[..., 0]
+    right = system.g_point + _sum_by(observations.point, back, len(system.V))
+    step_points = -(V_inverse @ right[..., None])[..., 0]
+    return step_poses, step_points
+
+
+def _reduced_step(system: _Linearised, observations, free, U, V_inverse) -> np.ndarray:
+    """Steps (F, 6) of the free cameras: the normal equations with the points eliminated."""
+    position = np.full(len(system.U), -1)
+    position[free] = np.arange(len(free))
+    used = position[observations.camera] >= 0
+    rows, columns = position[observations.camera[used]], observations.point[used]
+    W = _block_sparse(rows, columns, system.W[used], len(free), len(system.V))
+    Y = _block_sparse(rows, columns, system.W[used] @ V_inverse[columns], len(free), len(system.V))
+    S = -(Y @ W.T).toarray()
+    for i in range(len(free)):
+        S[6 * i : 6 * i + 6, 6 * i : 6 * i + 6] += U[i]
+    right = system.g_camera[free].ravel() - Y @ system.g_point.ravel()
+    try:
+        return -cho_solve(cho_factor(S, lower=True), right).reshape(-1, 6)
+    except np.linalg.LinAlgError:  # rounding made it indefinite: more damping helps
+        return np.zeros((len(free), 6))
+
+
+def _damped(blocks: np.ndarray, damping: float) -> np.ndarray:
+    result = blocks.copy()
+    diagonal = np.einsum("...ii->...i", result)
+    diagonal += damping * diagonal + 1e-9
+    return result
+
+
+def _block_sparse(rows, columns, blocks, n_rows: int, n_columns: int) -> sparse.csr_matrix:
+    order = np.lexsort((columns, rows))
+    pointer = np.searchsorted(rows[order], np.arange(n_rows + 1))
+    shape = (n_rows * blocks.shape[1], n_columns * blocks.shape[2])
+    return sparse.bsr_matrix((blocks[order], columns[order], pointer), shape=shape)
+
+
+def _sum_by(index: np.ndarray, values: np.ndarray, count: int) -> np.ndarray:
+    """Sum of values (M, ...) over equal `index` (M,) -> (count, ...)."""
+    flat = values.reshape(len(values), -1)
+    matrix = sparse.csr_matrix((np.ones(len(index)), (index, np.arange(len(index)))), (count, len(index)))
+    return (matrix @ flat).reshape(count, *values.shape[1:])
+
+
+def without_outliers(
+    camera: Camera, poses: np.ndarray, points: np.ndarray, observations: Observations, limit: float
+) -> Observations:
+    """The observations whose pixel lies within `limit` sigmas, in front of the camera; depth readings further off than
+    twice that are dropped from those."""
+    local = transform(inverse(poses[observations.camera]), points[observations.point])
+    r, _, _ = residuals(camera, poses[observations.camera], points[observations.point], observations)
+    kept = ((r[:, :2] ** 2).sum(1) < limit**2) & (local[:, 2] > _MIN_Z_M)
+    depths = np.where(np.abs(r[:, 2:]) < 2 * limit, observations.depths, 0.0)
+    return replace(observations, depths=depths)[kept]

@@ -1,0 +1,66 @@
+"""Points of an image that are found again in another one: SIFT, with the square-root descriptor of Arandjelovic 2012."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+MAX_FEATURES = 1000
+_CONTRAST = 0.02  # half of OpenCV's own threshold: plain walls have little
+_RATIO = 0.85  # of squared distances best / second best; beyond it a match is ambiguous
+
+
+@dataclass(frozen=True)
+class LocalFeatures:
+    """uv (N, 2) float64 pixels; sigma_px (N,) how far off that is; descriptors (N, 128) float32 of length 1."""
+
+    uv: np.ndarray
+    sigma_px: np.ndarray
+    descriptors: np.ndarray
+
+    def __len__(self) -> int:
+        return len(self.uv)
+
+
+def extract_features(color: np.ndarray, count: int = MAX_FEATURES) -> LocalFeatures:
+    """color (H, W, 3) uint8 RGB -> at most about `count` features, the strongest; none in an image without texture."""
+    grey = cv2.cvtColor(color, cv2.COLOR_RGB2GRAY)
+    sift = cv2.SIFT_create(count, 3, _CONTRAST, 10, 1.6, enable_precise_upscale=True)
+    keypoints, descriptors = sift.detectAndCompute(grey, None)
+    if not keypoints:
+        return LocalFeatures(np.zeros((0, 2)), np.zeros(0), np.zeros((0, 128), np.float32))
+    uv, kept = np.unique(np.array([k.pt for k in keypoints]), axis=0, return_index=True)  # one of several orientations
+    sizes = np.array([keypoints[i].size for i in kept])
+    descriptors = descriptors[kept]
+    descriptors = np.sqrt(descriptors / np.maximum(descriptors.sum(1, keepdims=True), 1e-9))
+    return LocalFeatures(uv, 0.4 + 0.08 * sizes, descriptors)
+
+
+def match(similarity: np.ndarray) -> np.ndarray:
+    """(M, 2) pairs of rows and columns of `similarity` (N, K), cosines of descriptors, that choose each other.
+
+    A pair is left out if its row likes a second column nearly as much (Lowe 2004).
+    """
+    if min(similarity.shape) < 2:
+        return np.zeros((0, 2), np.int64)
+    rows = np.arange(len(similarity))
+    best = similarity.argmax(1)
+    top = similarity[rows, best]
+    second = np.partition(similarity, -2, axis=1)[:, -2]
+    mutual = similarity.argmax(0)[best] == rows
+    distinct = (1 - top) < _RATIO * (1 - second)
+    kept = mutual & distinct
+    return np.column_stack([rows[kept], best[kept]])
+
+
+def match_near(similarity: np.ndarray, near: np.ndarray, threshold: float = 0.75) -> np.ndarray:
+    """(M, 2) pairs that choose each other among those `near` (N, K) each other, if at least `threshold` alike."""
+    if 0 in similarity.shape:
+        return np.zeros((0, 2), np.int64)
+    allowed = np.where(near, similarity, -1.0)
+    rows = np.arange(len(similarity))
+    best = allowed.argmax(1)
+    kept = (allowed[rows, best] > threshold) & (allowed.argmax(0)[best] == rows)
+    return np.column_stack([rows[kept], best[kept]])
