@@ -1,4 +1,4 @@
-"""`uncle eval`: scores of a mesh against a ground truth, or of a whole run."""
+"""`uncle eval`: scores of a mesh or a trajectory against a ground truth, or of a whole run."""
 
 from __future__ import annotations
 
@@ -12,16 +12,16 @@ from .options import json_option, run_option, seed_option
 
 if TYPE_CHECKING:
     from ..recon.calibration import UncertaintyMetrics
+    from ..recon.camera_path import CameraPath
     from ..recon.depth_metrics import HeldOutDepth
     from ..recon.run_metrics import EvalSettings, RunMetrics, SurfaceMetrics
-    from ..recon.trajectory_metrics import ErrorStatistics, TrajectoryMetrics
 
 HEADER = ("Metric", "Value", "Unit")
 Rows = list[tuple[str, str, str]]
 
 
 @click.command()
-@click.argument("mesh", required=False, type=click.Path(path_type=Path))
+@click.argument("mesh", required=False, type=click.Path(path_type=Path), metavar="[MESH|TRAJECTORY]")
 @click.argument("gt", required=False, type=click.Path(path_type=Path))
 @run_option
 @click.option(
@@ -51,6 +51,10 @@ Rows = list[tuple[str, str, str]]
     "--error-mesh", metavar="FILE.ply", type=click.Path(path_type=Path, dir_okay=False),
     help="Write the mesh coloured by its distance to the ground truth, up to the largest threshold.",
 )  # fmt: skip
+@click.option(
+    "--plot", metavar="FOLDER", type=click.Path(path_type=Path, file_okay=False),
+    help="Where to write trajectory.png and drift.png. [default: RUN/snapshots; none for two files]",
+)  # fmt: skip
 @json_option
 @click.pass_context
 def command(
@@ -60,18 +64,27 @@ def command(
     run_path: Path,
     cull: Path | None,
     error_mesh: Path | None,
+    plot: Path | None,
     as_json: bool,
     **options: Any,
 ) -> None:
     """Score MESH against the ground-truth mesh GT, or without them everything that a run holds.
 
-    A run is scored on its mesh (only what the cameras saw), its trajectory, the depth of frames held out of the map,
-    and its uncertainty, each where the data set has the truth; the figures also go to RUN/metrics.json.
+    TRAJECTORY and GT may also be two files of TUM text (.txt). A run is scored on its mesh (only what the cameras
+    saw), its trajectory and what the tracker says of it, the depth of frames held out of the map, and its
+    uncertainty, each where the data set has the truth; the figures also go to RUN/metrics.json.
     """
     if mesh is not None and gt is None:
         raise click.UsageError("give both MESH and GT, or neither to score the run")
     if mesh is None and cull is not None:
         raise click.UsageError("--cull goes with MESH and GT; a run is always culled by its own cameras")
+    if mesh is not None and gt is not None and _are_trajectories(mesh, gt):
+        if cull is not None or error_mesh is not None:
+            raise click.UsageError("--cull and --error-mesh go with meshes, not with trajectories")
+        _evaluate_trajectory(ctx, mesh, gt, plot, as_json)
+        return
+    if mesh is not None and plot is not None:
+        raise click.UsageError("--plot goes with trajectories or a run; for pictures of a mesh see `uncle snapshot`")
     from ..recon.run_metrics import EvalSettings
 
     thresholds = tuple(dict.fromkeys(options.pop("thresholds")))
@@ -79,7 +92,39 @@ def command(
     if mesh is not None and gt is not None:
         _evaluate_mesh(mesh, gt, settings, cull, error_mesh, as_json)
     else:
-        _evaluate_run(ctx, run_path, settings, error_mesh, as_json)
+        _evaluate_run(ctx, run_path, settings, error_mesh, plot, as_json)
+
+
+def _are_trajectories(first: Path, second: Path) -> bool:
+    texts = [path.suffix.lower() == ".txt" for path in (first, second)]
+    if any(texts) and not all(texts):
+        raise click.UsageError("a trajectory (.txt) is scored against a trajectory (.txt), a mesh against a mesh")
+    return all(texts)
+
+
+def _evaluate_trajectory(ctx: click.Context, estimate: Path, reference: Path, plot: Path | None, as_json: bool) -> None:
+    from ..recon.camera_path import CameraPath
+    from ..recon.run_metrics import to_plain
+    from ..recon.trajectory_metrics import evaluate_trajectory
+    from ..recon.trajectory_table import trajectory_rows
+
+    path = CameraPath.of_files(estimate, reference)
+    metrics = evaluate_trajectory(path.estimate, path.reference)
+    if plot is not None:
+        _plot(ctx, path, plot)
+    if as_json:
+        plain = to_plain(metrics)
+        print_json({"estimate_path": str(estimate), "reference_path": str(reference), "trajectory": plain})
+        return
+    print_table(f"{estimate.name} against {reference.name}", HEADER, trajectory_rows(metrics))
+
+
+def _plot(ctx: click.Context, path: CameraPath, folder: Path) -> None:
+    from ..recon.events import Note
+    from ..recon.trajectory_charts import draw_camera_path
+
+    drawn = draw_camera_path(path, folder)
+    listener(ctx)(Note(f"drawn: {', '.join(map(str, drawn))}"))
 
 
 def _evaluate_mesh(
@@ -106,8 +151,16 @@ def _evaluate_mesh(
 
 
 def _evaluate_run(
-    ctx: click.Context, run_path: Path, settings: EvalSettings, error_mesh: Path | None, as_json: bool
+    ctx: click.Context,
+    run_path: Path,
+    settings: EvalSettings,
+    error_mesh: Path | None,
+    plot: Path | None,
+    as_json: bool,
 ) -> None:
+    from ..recon.camera_path import CameraPath
+    from ..recon.errors import DataError
+    from ..recon.events import Warn
     from ..recon.mesh_io import Mesh
     from ..recon.run import RunDirectory
     from ..recon.run_metrics import evaluate_run, load_reference, to_plain, write_error_mesh
@@ -118,6 +171,11 @@ def _evaluate_run(
     if error_mesh is not None:
         reference = load_reference(run.manifest)
         write_error_mesh(error_mesh, Mesh.load(run.mesh_path), reference, metrics.surface and metrics.surface.mesh)
+    if metrics.trajectory is not None or metrics.tracking is not None:
+        try:
+            _plot(ctx, CameraPath.of_run(run), plot or run.snapshots_path)
+        except DataError as error:
+            listener(ctx)(Warn(f"the camera is not drawn: {error}"))
     if as_json:
         print_json(to_plain(metrics))
         return
@@ -125,11 +183,17 @@ def _evaluate_run(
 
 
 def _print_run(metrics: RunMetrics) -> None:
+    from ..recon.tracking_metrics import describe_lost
+    from ..recon.trajectory_table import tracking_rows, trajectory_rows
+
     if metrics.surface is not None:
         print_table("Surface", HEADER, surface_rows(metrics.surface))
         click.echo(f"settings: {_describe(metrics.surface)}")
     if metrics.trajectory is not None:
         print_table("Trajectory", HEADER, trajectory_rows(metrics.trajectory))
+    if metrics.tracking is not None:
+        print_table("Tracking", HEADER, tracking_rows(metrics.tracking))
+        click.echo(describe_lost(metrics.tracking))
     if metrics.held_out:
         rows = [row for held_out in metrics.held_out.values() for row in held_out_rows(held_out)]
         print_table("Depth of held-out frames", HEADER, rows)
@@ -177,18 +241,6 @@ def _describe(metrics: SurfaceMetrics) -> str:
     return ", ".join(parts)
 
 
-def trajectory_rows(metrics: TrajectoryMetrics) -> Rows:
-    """Rows in cm and degrees; RMSE / mean / median / max."""
-    over = f"over {metrics.rpe_delta_frames} frame"
-    rows = [
-        ("ATE as it is, RMSE / mean / median / max", _statistics(metrics.ate_m, 100), "cm"),
-        ("ATE aligned, RMSE / mean / median / max", _statistics(metrics.ate_aligned_m, 100), "cm"),
-        (f"RPE translation {over}", _statistics(metrics.rpe_translation_m, 100), "cm"),
-        (f"RPE rotation {over}", _statistics(metrics.rpe_rotation_rad, 57.29577951308232), "deg"),
-    ]
-    return [*rows, ("poses matched, of", f"{metrics.matched_poses} / {metrics.estimated_poses}", "")]
-
-
 def held_out_rows(metrics: HeldOutDepth) -> Rows:
     """Rows in cm and %."""
     return [
@@ -210,12 +262,6 @@ def uncertainty_rows(metrics: UncertaintyMetrics) -> Rows:
         ("rank correlation with the error", rank, ""),
         ("mean error / mean beta", f"{_cm(metrics.mean_error_m)} / {_cm(metrics.mean_beta_m)}", "cm"),
     ]
-
-
-def _statistics(errors: ErrorStatistics | None, factor: float) -> str:
-    if errors is None:
-        return "-"
-    return " / ".join(f"{value * factor:.2f}" for value in (errors.rmse, errors.mean, errors.median, errors.max))
 
 
 def _cm(metres: float | None) -> str:

@@ -8,6 +8,8 @@ from typing import Any
 
 _RATIOS = {"precision", "recall", "f_score", "completeness", "coverage_50", "coverage_90", "ratio"}
 _UNITS = (  # suffix of a name -> (factor, unit, digits)
+    ("_rad_per_m", math.degrees(1.0), "°/m", 2),
+    ("_m_per_s", 100.0, "cm/s", 3),
     ("_per_s", 1.0, "1/s", 1),
     ("_deg", 1.0, "°", 2),
     ("_rad", math.degrees(1.0), "°", 2),

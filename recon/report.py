@@ -12,6 +12,7 @@ from .events import OnEvent, Progress, Warn, ignore
 from .metrics_table import grouped, metric_rows
 from .noise_curves import sensor_noise
 from .recording import RunFrames
+from .report_camera import camera_section
 from .report_charts import calibration_chart, curves_chart, noise_chart
 from .report_html import Section, embed_picture, explain, heading, missing, page, preformatted, table
 from .run import Manifest, RunDirectory
@@ -19,7 +20,9 @@ from .sensor_pictures import draw_sensors, estimated_sensors
 from .snapshot import draw_mesh, load_reference, load_run_mesh, snapshot_views
 from .storage import write_text
 
-_SUMMARY = ("surface", "trajectory", "held_out", "uncertainty", "skipped", "notes", "settings")  # order of the metrics
+_SUMMARY = (  # order of the metrics
+    "surface", "trajectory", "tracking", "held_out", "uncertainty", "skipped", "notes", "settings",
+)  # fmt: skip
 
 _CAPTIONS = {
     "shaded": "Surface under a lamp at the camera.",
@@ -30,7 +33,7 @@ _CAPTIONS = {
 
 
 def write_report(run: RunDirectory, renderer: str = "auto", on_event: OnEvent = ignore) -> Path:
-    """Write RUN/report.html, with fresh snapshots of the run's mesh and sensors; returns its path.
+    """Write RUN/report.html, with fresh snapshots of the run's mesh, camera and sensors; returns its path.
 
     What the run does not hold is named on the page with the command that makes it. Raises RunError without a run.
     """
@@ -38,6 +41,7 @@ def write_report(run: RunDirectory, renderer: str = "auto", on_event: OnEvent = 
     parts: list[tuple[str, Callable[[], str]]] = [
         ("Overview", lambda: _overview(run, manifest)),
         ("Mesh", lambda: _mesh(run, renderer, on_event)),
+        ("Camera", lambda: camera_section(run)),
         ("Metrics", lambda: _metrics(run)),
         ("Sensors", lambda: _sensors(run, on_event)),
         ("Curves", lambda: _curves(run)),

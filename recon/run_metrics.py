@@ -20,9 +20,10 @@ from .mesh_io import Mesh
 from .mesh_metrics import CompletenessTarget, MeshMetrics, Protocol, color_by_distance, evaluate_mesh, moved
 from .recording import RunFrames
 from .run import Manifest, RunDirectory
+from .run_trajectory import score_tracking, score_trajectory
 from .storage import write_text
-from .trajectory import Trajectory
-from .trajectory_metrics import TrajectoryMetrics, evaluate_trajectory
+from .tracking_metrics import TrackingMetrics
+from .trajectory_metrics import TrajectoryMetrics
 from .visibility import GROUND_TRUTH_SENSOR, Visibility
 
 UNCERTAINTY_READINGS = 500_000  # per sensor, drawn evenly from the frames
@@ -65,6 +66,7 @@ class RunMetrics:
     run: str
     surface: SurfaceMetrics | None
     trajectory: TrajectoryMetrics | None
+    tracking: TrackingMetrics | None  # None, without a reason, where the poses were given
     held_out: dict[str, HeldOutDepth]
     uncertainty: dict[str, UncertaintyMetrics]
     skipped: dict[str, str]
@@ -115,7 +117,8 @@ def evaluate_run(run: RunDirectory, settings: EvalSettings | None = None, on_eve
     skipped: dict[str, str] = {}
     on_event(Note("scoring the mesh and the trajectory"))
     surface = _attempt("mesh", skipped, lambda: _score_run_mesh(run, manifest, settings))
-    trajectory = _attempt("trajectory", skipped, lambda: _score_trajectory(run))
+    trajectory = _attempt("trajectory", skipped, lambda: score_trajectory(run))
+    tracking = _attempt("tracking", skipped, lambda: score_tracking(run))
     held_out = _attempt("held_out", skipped, lambda: _score_held_out(run, manifest, frames, on_event)) or {}
     uncertainty = {}
     for sensor in _sensors_with_beta(run, manifest, skipped):
@@ -124,13 +127,13 @@ def evaluate_run(run: RunDirectory, settings: EvalSettings | None = None, on_eve
         )
         if scored is not None:
             uncertainty[sensor] = scored
-    if not (surface or trajectory or held_out or uncertainty):
+    if not (surface or trajectory or tracking or held_out or uncertainty):
         reasons = "; ".join(f"{part}: {reason}" for part, reason in skipped.items())
         raise RunError(f"nothing in {run.root} can be scored ({reasons})")
     if surface is not None:
         skipped |= surface.skipped
-    notes = _notes(surface, trajectory)
-    return RunMetrics(str(run.root), surface, trajectory, held_out, uncertainty, skipped, notes, settings)
+    notes = _notes(surface, trajectory, tracking)
+    return RunMetrics(str(run.root), surface, trajectory, tracking, held_out, uncertainty, skipped, notes, settings)
 
 
 def write_error_mesh(path: Path, mesh: Mesh, reference: Mesh, metrics: MeshMetrics | None) -> None:
@@ -184,14 +187,6 @@ def _run_mesh(run: RunDirectory) -> Mesh:
     if not run.mesh_path.is_file():
         raise DataError(f"there is no mesh yet; run `uncle mesh --run {run.root}`")
     return Mesh.load(run.mesh_path)
-
-
-def _score_trajectory(run: RunDirectory) -> TrajectoryMetrics:
-    if not run.trajectory_path.is_file():
-        raise DataError(f"there is no trajectory yet; run `uncle map --run {run.root}`")
-    if not run.reference_trajectory_path.is_file():
-        raise DataError("the data set has no ground-truth poses")
-    return evaluate_trajectory(Trajectory.load(run.trajectory_path), Trajectory.load(run.reference_trajectory_path))
 
 
 def _score_held_out(
@@ -256,10 +251,12 @@ def _score_uncertainty(frames: RunFrames, sensor: str, seed: int, on_event: OnEv
     return evaluate_uncertainty(error, beta, max_readings=UNCERTAINTY_READINGS, seed=seed)
 
 
-def _notes(surface: SurfaceMetrics | None, trajectory: TrajectoryMetrics | None) -> tuple[str, ...]:
+def _notes(
+    surface: SurfaceMetrics | None, trajectory: TrajectoryMetrics | None, tracking: TrackingMetrics | None
+) -> tuple[str, ...]:
     notes = []
     if surface is not None and surface.mesh.note:
         notes.append(surface.mesh.note)
-    if trajectory is not None and trajectory.ate_m.max < GIVEN_POSES_M:
+    if trajectory is not None and tracking is None and trajectory.ate_m.max < GIVEN_POSES_M:
         notes.append("the camera poses were given, not estimated: the trajectory errors say nothing")
     return tuple(notes)

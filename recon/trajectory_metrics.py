@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from scipy.spatial import cKDTree
 
+from .drift import Drift, measure_drift, motion_errors, rotation_angles
 from .errors import DataError
 from .trajectory import Trajectory
 
 MAX_DIFFERENCE_S = 0.02
+_RPE_SECONDS = 1.0
 
 
 @dataclass(frozen=True)
@@ -31,21 +34,67 @@ class ErrorStatistics:
 
 
 @dataclass(frozen=True)
+class MatchedPoses:
+    """Finite poses of an estimate and of the truth at the same times, in the order of time.
+
+    timestamps (M,) seconds, of the estimate; found, true (M, 4, 4) T_world_camera; M > 0
+    """
+
+    timestamps: np.ndarray
+    found: np.ndarray
+    true: np.ndarray
+
+    @staticmethod
+    def of(estimate: Trajectory, reference: Trajectory, max_difference_s: float = MAX_DIFFERENCE_S) -> MatchedPoses:
+        """Raises DataError if none match."""
+        pairs = associate(estimate, reference, max_difference_s)
+        found, true = estimate.T_world_camera[pairs[:, 0]], reference.T_world_camera[pairs[:, 1]]
+        return MatchedPoses(estimate.timestamps[pairs[:, 0]], found, true)
+
+    def __len__(self) -> int:
+        return len(self.timestamps)
+
+    @cached_property
+    def T_true_found(self) -> np.ndarray:
+        """(4, 4) rigid motion of the whole estimate that brings its camera centres nearest to the true ones."""
+        return rigid_alignment(self.found[:, :3, 3], self.true[:, :3, 3])
+
+    def position_errors(self, *, aligned: bool) -> np.ndarray:
+        """(M,) metres."""
+        found = self.T_true_found @ self.found if aligned else self.found
+        return np.linalg.norm(found[:, :3, 3] - self.true[:, :3, 3], axis=1)
+
+    def rotation_errors(self, *, aligned: bool) -> np.ndarray:
+        """(M,) radians. Aligned: after the one rotation that fits all orientations best, which unlike that of
+        `T_true_found` is known where the camera stands still or moves in a line."""
+        found, true = self.found[:, :3, :3], self.true[:, :3, :3]
+        common = _nearest_rotation((true @ found.transpose(0, 2, 1)).sum(axis=0)) if aligned else np.eye(3)
+        return rotation_angles(true.transpose(0, 2, 1) @ common @ found)
+
+
+@dataclass(frozen=True)
 class TrajectoryMetrics:
-    """ate_*   distances between true and estimated camera centres, as they are and after the best rigid motion (no
-            scale) of the whole estimate
-    rpe_*   errors of the motion over `rpe_delta_frames` matched poses, None if there are no more than that
+    """ate_*         distances between true and estimated camera centres, as they are and after the best rigid motion
+                  (no scale) of the whole estimate
+    rpe_*         errors of the motion over `rpe_delta_frames` matched poses, None if there are no more than that
+    rpe_second_*  the same over one second; None without a clock, or if no two poses are a second apart
+    drift         how the error grows; None if the true camera does not move
+    completeness  share of the frames of the run that have a pose; None where there is no run
     """
 
     ate_m: ErrorStatistics
     ate_aligned_m: ErrorStatistics
     rpe_translation_m: ErrorStatistics | None
     rpe_rotation_rad: ErrorStatistics | None
+    rpe_second_translation_m: ErrorStatistics | None
+    rpe_second_rotation_rad: ErrorStatistics | None
+    drift: Drift | None
     matched_poses: int
     estimated_poses: int
     reference_poses: int
     max_difference_s: float
     rpe_delta_frames: int
+    completeness: float | None = None
 
 
 def evaluate_trajectory(
@@ -56,23 +105,30 @@ def evaluate_trajectory(
     rpe_delta_frames: int = 1,
 ) -> TrajectoryMetrics:
     """Score `estimate` against `reference`; poses that are not finite are left out. Raises DataError if none match."""
-    pairs = associate(estimate, reference, max_difference_s)
-    found, true = estimate.T_world_camera[pairs[:, 0]], reference.T_world_camera[pairs[:, 1]]
-    T_true_found = rigid_alignment(found[:, :3, 3], true[:, :3, 3])
-    raw = np.linalg.norm(found[:, :3, 3] - true[:, :3, 3], axis=1)
-    aligned = np.linalg.norm((T_true_found @ found)[:, :3, 3] - true[:, :3, 3], axis=1)
-    translation, rotation = relative_errors(found, true, rpe_delta_frames)
+    matched = MatchedPoses.of(estimate, reference, max_difference_s)
+    starts = np.arange(max(0, len(matched) - rpe_delta_frames))
+    translation, rotation = _relative_statistics(matched, starts, starts + rpe_delta_frames)
+    clock = has_clock(matched.timestamps)
+    seconds = _relative_statistics(matched, *pairs_after(matched.timestamps, _RPE_SECONDS)) if clock else (None, None)
     return TrajectoryMetrics(
-        ErrorStatistics.of(raw),
-        ErrorStatistics.of(aligned),
-        ErrorStatistics.of(translation) if len(translation) else None,
-        ErrorStatistics.of(rotation) if len(rotation) else None,
-        len(pairs),
-        len(estimate),
-        len(reference),
-        max_difference_s,
-        rpe_delta_frames,
+        ate_m=ErrorStatistics.of(matched.position_errors(aligned=False)),
+        ate_aligned_m=ErrorStatistics.of(matched.position_errors(aligned=True)),
+        rpe_translation_m=translation,
+        rpe_rotation_rad=rotation,
+        rpe_second_translation_m=seconds[0],
+        rpe_second_rotation_rad=seconds[1],
+        drift=measure_drift(matched.found, matched.true, matched.timestamps if clock else None),
+        matched_poses=len(matched),
+        estimated_poses=len(estimate),
+        reference_poses=len(reference),
+        max_difference_s=max_difference_s,
+        rpe_delta_frames=rpe_delta_frames,
     )
+
+
+def has_clock(timestamps: np.ndarray) -> bool:
+    """Whether time stamps are seconds: whole numbers alone are the indices of frames (docs/conventions.md, time)."""
+    return bool((timestamps % 1 != 0).any())
 
 
 def associate(estimate: Trajectory, reference: Trajectory, max_difference_s: float) -> np.ndarray:
@@ -86,7 +142,7 @@ def associate(estimate: Trajectory, reference: Trajectory, max_difference_s: flo
     order = np.argsort(difference, kind="stable")
     order = order[difference[order] <= max_difference_s + 1e-9]
     _, first = np.unique(nearest[order], return_index=True)
-    chosen = np.sort(order[first])
+    chosen = order[first][np.argsort(times[order[first]], kind="stable")]
     if len(chosen) == 0:
         raise DataError(
             f"the trajectories share no time stamp within {max_difference_s} s: {times[0]:.3f} to {times[-1]:.3f} and "
@@ -98,20 +154,43 @@ def associate(estimate: Trajectory, reference: Trajectory, max_difference_s: flo
 def rigid_alignment(source: np.ndarray, target: np.ndarray) -> np.ndarray:
     """(4, 4) rigid motion that takes (N, 3) `source` to `target` with least squared error (Umeyama 1991, no scale)."""
     source_mean, target_mean = source.mean(axis=0), target.mean(axis=0)
-    u, _, vt = np.linalg.svd((target - target_mean).T @ (source - source_mean))
-    handedness = np.diag([1.0, 1.0, np.sign(np.linalg.det(u @ vt))])
     T = np.eye(4)
-    T[:3, :3] = u @ handedness @ vt
+    T[:3, :3] = _nearest_rotation((target - target_mean).T @ (source - source_mean))
     T[:3, 3] = target_mean - T[:3, :3] @ source_mean
     return T
 
 
 def relative_errors(found: np.ndarray, true: np.ndarray, delta: int) -> tuple[np.ndarray, np.ndarray]:
     """Poses (N, 4, 4) -> translation errors in metres and rotation angles in radians of the motions over `delta`."""
-    if len(found) <= delta:
-        return np.zeros(0), np.zeros(0)
-    motions = [np.linalg.inv(T[:-delta]) @ T[delta:] for T in (found, true)]
-    error = np.linalg.inv(motions[1]) @ motions[0]
-    skew = np.stack([error[:, 2, 1] - error[:, 1, 2], error[:, 0, 2] - error[:, 2, 0], error[:, 1, 0] - error[:, 0, 1]])
-    sine, cosine = 0.5 * np.linalg.norm(skew, axis=0), 0.5 * (np.trace(error[:, :3, :3], axis1=1, axis2=2) - 1.0)
-    return np.linalg.norm(error[:, :3, 3], axis=1), np.arctan2(sine, cosine)
+    starts = np.arange(max(0, len(found) - delta))
+    return motion_errors(found, true, starts, starts + delta)
+
+
+def pairs_after(timestamps: np.ndarray, seconds: float) -> tuple[np.ndarray, np.ndarray]:
+    """Indices of starts and ends: for each of the increasing time stamps (N,) that which is nearest to `seconds` later.
+
+    Where there is none within half of the usual distance of two, as behind a gap, the start is left out.
+    """
+    if len(timestamps) < 2:
+        return np.zeros(0, int), np.zeros(0, int)
+    tolerance = 0.5 * float(np.median(np.diff(timestamps))) + 1e-6
+    wanted = timestamps + seconds
+    later = np.clip(np.searchsorted(timestamps, wanted), 1, len(timestamps) - 1)
+    later -= wanted - timestamps[later - 1] < timestamps[later] - wanted
+    starts = np.flatnonzero((np.abs(timestamps[later] - wanted) <= tolerance) & (later > np.arange(len(later))))
+    return starts, later[starts]
+
+
+def _relative_statistics(
+    matched: MatchedPoses, starts: np.ndarray, ends: np.ndarray
+) -> tuple[ErrorStatistics | None, ErrorStatistics | None]:
+    if len(starts) == 0:
+        return None, None
+    translation, rotation = motion_errors(matched.found, matched.true, starts, ends)
+    return ErrorStatistics.of(translation), ErrorStatistics.of(rotation)
+
+
+def _nearest_rotation(matrix: np.ndarray) -> np.ndarray:
+    """(3, 3) rotation with the largest inner product with `matrix` (3, 3); never a mirror."""
+    u, _, vt = np.linalg.svd(matrix)
+    return u @ np.diag([1.0, 1.0, np.sign(np.linalg.det(u @ vt))]) @ vt

@@ -14,7 +14,7 @@ from uncle.recon.report import write_report
 from uncle.recon.run import RunDirectory
 from uncle.recon.storage import write_image, write_text
 
-SECTIONS = ("Overview", "Mesh", "Metrics", "Sensors", "Curves", "Time and memory", "Configuration")
+SECTIONS = ("Overview", "Mesh", "Camera", "Metrics", "Sensors", "Curves", "Time and memory", "Configuration")
 NASTY = '<script>alert(\'$x_1$ & "co")</script>'
 
 
@@ -30,6 +30,7 @@ def full_run(make_box_run, box_room):
     box_room.mesh(grow_m=0.01).save(run.mesh_path)
     curve = {"x": [0, 1, 2], "y": [3.0, None, 1.0], "x_label": "iteration", "y_label": "nats"}
     write_text(run.curves_path, json.dumps({"loss": curve, "beta $\\frac": curve, "broken": {"x": [1], "y": "no"}}))
+    write_text(run.trajectory_path, run.reference_trajectory_path.read_text())
     metrics = {
         "surface": {"mesh": {"accuracy_mean_m": 0.0123, "scores": [{"threshold_m": 0.05, "f_score": 0.987}]}},
         "notes": [], "name": NASTY, "uncertainty": {"noisy": {"nll_nats": -2.0, "curves": {"nominal": []}}},
@@ -60,7 +61,7 @@ def test_page_needs_nothing_else(page):
 def test_page_has_every_section_and_its_figures(page):
     for title in SECTIONS:
         assert f">{title}</h2>" in page
-    assert page.count("<img") >= 5  # surface and error of the mesh, sensor, noise, curves
+    assert page.count("<img") >= 7  # surface and error of the mesh, way and drift of the camera, sensor, noise, curves
     for text in ("F-score", "98.7", "1.23", "at 5 cm", "512", "MB", "Sensor noisy"):
         assert text in page
     assert 'class="missing"' not in page

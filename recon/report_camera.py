@@ -1,0 +1,44 @@
+"""The camera of a run on its report: where it went, how well that is known, and where it was lost."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from .camera_path import CameraPath
+from .errors import DataError
+from .report_html import embed_picture, explain, missing, table
+from .run import RunDirectory
+from .run_trajectory import score_tracking, score_trajectory
+from .tracking_metrics import describe_lost
+from .trajectory_charts import draw_camera_path
+from .trajectory_table import Rows, tracking_rows, trajectory_rows
+
+_HEADER = ("Figure", "Value", "Unit")
+_CAPTIONS = {
+    "trajectory": "The way of the camera. Equal axes; the estimate is aligned where the true way is known.",
+    "drift": "Errors grow where a tracker drifts; what it states of itself is honest where it follows the errors.",
+}
+
+
+def camera_section(run: RunDirectory) -> str:
+    """HTML; the charts are also written to the snapshots of the run. Raises DataError, RunError."""
+    if not run.trajectory_path.is_file() and not run.tracking_path.is_file():
+        return missing(f"There is no trajectory yet; make it with `uncle map --run {run.root}`.")
+    tracking = score_tracking(run)
+    parts = [explain(describe_lost(tracking))] if tracking is not None else []
+    rows: Rows = []
+    try:
+        rows += trajectory_rows(score_trajectory(run))
+    except DataError as error:
+        parts.append(missing(f"Not scored against a truth: {error}."))
+    rows += tracking_rows(tracking) if tracking is not None else []
+    parts += [table(_HEADER, rows, numbers=(1,))] if rows else []
+    try:
+        parts += [_embedded(chart) for chart in draw_camera_path(CameraPath.of_run(run), run.snapshots_path)]
+    except DataError as error:
+        parts.append(missing(f"Not drawn: {error}."))
+    return "\n".join(parts)
+
+
+def _embedded(chart: Path) -> str:
+    return embed_picture(chart.read_bytes(), _CAPTIONS[chart.stem], photographic=False)
