@@ -1,33 +1,43 @@
-"""Camera, depth scale and lens distortion of a recording, and the `camera.json` that states or overrides them."""
+"""Cameras, depth scale and lens distortion of a recording, and the `camera.json` that states or overrides them."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+import numpy as np
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator, model_validator
 
 from ..recon.camera import Camera
 from ..recon.errors import DataError
+from .poses import checked_pose
 
 CAMERA_FILE = "camera.json"
+MAX_BASELINE_M = 1.0  # no hand-held rig is wider; a larger number is a translation in millimetres
 
 
 @dataclass(frozen=True)
 class Calibration:
     """What turns the pixels of a recording into metres.
 
+    camera              of the depth images, and of the frames that a reader gives
     depth_units_per_m   value of a depth pixel at a distance of one metre
     distortion          OpenCV's (k1, k2, p1, p2[, k3]) of colour and depth images; empty: already undistorted
+    color_camera        of the colour images where another camera took them; None: they are registered to depth
+    T_color_depth       (4, 4) from the axes of `camera` to those of `color_camera`, metres; None without the latter
+    color_distortion    of the colour images of `color_camera`; `distortion` is of the depth images alone then
     """
 
     camera: Camera
     depth_units_per_m: float = 1000.0
     distortion: tuple[float, ...] = ()
+    color_camera: Camera | None = None
+    T_color_depth: np.ndarray | None = None
+    color_distortion: tuple[float, ...] = ()
 
 
-class CameraFile(BaseModel):
-    """`camera.json`: see docs/own-data.md."""
+class CameraFields(BaseModel):
+    """A camera as `camera.json` states it."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
     width: int = Field(gt=0)
@@ -36,9 +46,47 @@ class CameraFile(BaseModel):
     fy: float = Field(gt=0, allow_inf_nan=False)
     cx: float = Field(allow_inf_nan=False)
     cy: float = Field(allow_inf_nan=False)
-    depth_scale: float | None = Field(default=None, gt=0, allow_inf_nan=False)
     distortion: tuple[float, ...] = ()
+
+    @field_validator("distortion")
+    @classmethod
+    def _known_model(cls, values: tuple[float, ...]) -> tuple[float, ...]:
+        if len(values) not in (0, 4, 5):
+            raise ValueError(f"expected k1, k2, p1, p2 and optionally k3, found {values}")
+        return values
+
+    @property
+    def camera(self) -> Camera:
+        return Camera(self.width, self.height, self.fx, self.fy, self.cx, self.cy)
+
+
+class CameraFile(CameraFields):
+    """`camera.json`: see docs/own-data.md."""
+
+    depth_scale: float | None = Field(default=None, gt=0, allow_inf_nan=False)
     timestamps: str | None = None
+    color_camera: CameraFields | None = None
+    T_color_depth: tuple[tuple[float, ...], ...] | None = None
+
+    @field_validator("T_color_depth")
+    @classmethod
+    def _rigid(cls, rows: tuple[tuple[float, ...], ...] | None) -> tuple[tuple[float, ...], ...] | None:
+        if rows is None:
+            return None
+        square = len(rows) == 4 and all(len(row) == 4 for row in rows)
+        pose = checked_pose(np.array(rows)) if square else None
+        if pose is None:
+            raise ValueError("expected 4 rows of 4 numbers: a rotation and a translation, the last row 0 0 0 1")
+        if np.linalg.norm(pose[:3, 3]) > MAX_BASELINE_M:
+            raise ValueError(f"its translation {pose[:3, 3].tolist()} is no distance of two cameras in metres")
+        return tuple(map(tuple, pose.tolist()))
+
+    @model_validator(mode="after")
+    def _both_or_neither(self) -> CameraFile:
+        if (self.color_camera is None) != (self.T_color_depth is None):
+            missing = "T_color_depth" if self.T_color_depth is None else "color_camera"
+            raise ValueError(f"color_camera and T_color_depth belong together, but {missing} is missing")
+        return self
 
     @staticmethod
     def load(folder: Path) -> CameraFile | None:
@@ -51,17 +99,23 @@ class CameraFile(BaseModel):
         except ValidationError as error:
             first = error.errors()[0]
             where = ".".join(str(part) for part in first["loc"]) or "the file"
-            raise DataError(f"{path}: {where}: {first['msg']} (fields are described in docs/own-data.md)") from error
+            what = first["msg"].removeprefix("Value error, ")
+            raise DataError(f"{path}: {where}: {what} (fields are described in docs/own-data.md)") from error
         except (OSError, UnicodeDecodeError) as error:
             raise DataError(f"cannot read {path}: {error}") from error
-        if len(file.distortion) not in (0, 4, 5):
-            raise DataError(f"{path}: distortion: expected k1, k2, p1, p2 and optionally k3, found {file.distortion}")
         return file
 
     def calibration(self, depth_units_per_m: float = 1000.0) -> Calibration:
         """The calibration stated here; `depth_units_per_m` holds where the file names no scale."""
-        camera = Camera(self.width, self.height, self.fx, self.fy, self.cx, self.cy)
-        return Calibration(camera, self.depth_scale or depth_units_per_m, self.distortion)
+        calibration = Calibration(self.camera, self.depth_scale or depth_units_per_m, self.distortion)
+        if self.color_camera is None:
+            return calibration
+        return replace(
+            calibration,
+            color_camera=self.color_camera.camera,
+            T_color_depth=np.array(self.T_color_depth),
+            color_distortion=self.color_camera.distortion,
+        )
 
 
 def calibration_or(folder: Path, default: Calibration) -> tuple[Calibration, tuple[str, ...]]:

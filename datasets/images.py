@@ -11,7 +11,6 @@ import numpy as np
 from ..recon.camera import Camera
 from ..recon.errors import DataError
 from ..recon.storage import read_image
-from .calibration import Calibration
 
 IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg")
 SATURATED = 65535  # the largest value of a 16-bit depth image never is a reading; Kinect recordings mark holes by it
@@ -78,12 +77,12 @@ def _require_size(path: Path, image: np.ndarray, camera: Camera) -> None:
 class Undistorter:
     """Resamples images to the pinhole camera of the same intrinsics; does nothing where there is no distortion."""
 
-    def __init__(self, calibration: Calibration) -> None:
+    def __init__(self, camera: Camera, distortion: tuple[float, ...]) -> None:
+        """`distortion` is OpenCV's (k1, k2, p1, p2[, k3]), or empty."""
         self._maps: tuple[np.ndarray, np.ndarray] | None = None
-        if any(calibration.distortion):
-            camera, coefficients = calibration.camera, np.array(calibration.distortion)
+        if any(distortion):
             self._maps = cv2.initUndistortRectifyMap(
-                camera.matrix, coefficients, None, camera.matrix, (camera.width, camera.height), cv2.CV_32FC1
+                camera.matrix, np.array(distortion), None, camera.matrix, (camera.width, camera.height), cv2.CV_32FC1
             )
             self._fast_maps = cv2.convertMaps(*self._maps, cv2.CV_16SC2)  # fixed point: colour in half the time
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -16,6 +17,7 @@ from ..recon.frame import Frame
 from .calibration import Calibration
 from .images import Undistorter, read_color, read_depth
 from .poses import pose_notes
+from .registration import ColorRegistration
 
 
 @dataclass(frozen=True)
@@ -31,7 +33,9 @@ class Entry:
 class FileRecording:
     """Implements `recon.frame.Recording`. Raises DataError where the entries make no recording.
 
-    `resize_color`  colour of another size is resampled to the depth camera's instead of refused
+    Colour of a camera of its own (`calibration.color_camera`) is registered to the depth images.
+
+    `resize_color`  registered colour of another size is resampled to the depth camera's instead of refused
     `margin`        pixels to cut from every side of every image
     """
 
@@ -61,7 +65,13 @@ class FileRecording:
         self.has_poses = any(entry.T_world_camera is not None for entry in entries)
         self._entries = tuple(entries)
         self._calibration, self._resize_color, self._margin = calibration, resize_color, margin
-        self._undistorter = Undistorter(calibration)
+        self._undistorter = self._color_undistorter = Undistorter(calibration.camera, calibration.distortion)
+        self._registration: ColorRegistration | None = None
+        if calibration.color_camera is not None and calibration.T_color_depth is not None:
+            self._color_undistorter = Undistorter(calibration.color_camera, calibration.color_distortion)
+            self._registration = ColorRegistration(
+                calibration.color_camera, calibration.T_color_depth, calibration.camera
+            )
         self._require_increasing_timestamps()
         self.notes = (*notes, *self._sensor_notes(), *pose_notes([entry.T_world_camera for entry in entries]))
 
@@ -89,11 +99,15 @@ class FileRecording:
 
     def color(self, index: int) -> Tensor:
         """(H, W, 3) uint8 RGB. Raises FrameError."""
+        camera = self._calibration.color_camera or self._calibration.camera
         try:
-            image = read_color(self._entries[index].color, self._calibration.camera, self._resize_color)
+            image = read_color(self._entries[index].color, camera, self._resize_color and self._registration is None)
         except DataError as error:
             raise FrameError(f"frame {index}: {error}") from error
-        return self._cropped(self._undistorter.color(image))
+        image = self._color_undistorter.color(image)
+        if self._registration is not None:
+            image = self._registration(image, self._depth_to_register_by(index))
+        return self._cropped(image)
 
     def depth(self, index: int, sensor: str) -> Tensor:
         """(H, W) float32 metres, 0 = no reading; all zero where the sensor has no image. Raises FrameError."""
@@ -101,10 +115,22 @@ class FileRecording:
         if path is None:
             return torch.zeros(self.camera.height, self.camera.width)
         try:
-            image = read_depth(path, self._calibration.camera, self._calibration.depth_units_per_m)
+            return self._cropped(self._read_depth(path))
         except DataError as error:
             raise FrameError(f"frame {index}: {error}") from error
-        return self._cropped(self._undistorter.depth(image))
+
+    def _read_depth(self, path: Path) -> np.ndarray:
+        image = read_depth(path, self._calibration.camera, self._calibration.depth_units_per_m)
+        return self._undistorter.depth(image)
+
+    def _depth_to_register_by(self, index: int) -> np.ndarray:
+        """(H, W) metres of the first sensor with an image that can be read, all zero if there is none."""
+        depths = self._entries[index].depths
+        for sensor in self.sensors:
+            with suppress(DataError):  # a bad depth image costs no more than itself
+                if sensor in depths:
+                    return self._read_depth(depths[sensor])
+        return np.zeros((self._calibration.camera.height, self._calibration.camera.width), np.float32)
 
     def _cropped(self, image: np.ndarray) -> Tensor:
         height, width = image.shape[:2]

@@ -6,9 +6,13 @@ import cv2
 import numpy as np
 import pytest
 from uncle.datasets import open_dataset
+from uncle.recon.camera import Camera
 from uncle.recon.errors import DataError, FrameError
 
 DOCS = Path(__file__).resolve().parents[2] / "docs" / "own-data.md"
+
+COLOR_CAMERA = {"width": 96, "height": 54, "fx": 70.0, "fy": 71.0, "cx": 50.0, "cy": 26.0}
+MILLIMETRES = np.eye(4) + 25.0 * np.eye(4, k=3)
 
 
 def set_camera(folder: Path, **changes) -> None:
@@ -31,6 +35,44 @@ def test_matrices_and_several_sensors_land_on_the_room(write_folder, room, color
     tolerance = 0.012 if color == ".png" else 0.03  # JPG keeps colour at half the resolution
     for sensor in recording.sensors:
         room.check(recording, sensor, tolerance)
+
+
+def test_colour_of_a_camera_of_its_own_lands_on_the_room(write_folder, room):
+    folder = write_folder(sensors=("depth_tof", "depth_stereo"))
+    write_poses(folder, room)
+    T_color_depth = np.eye(4)
+    T_color_depth[:3, 3] = [-0.05, 0.01, 0.0]
+    for index, pose in enumerate(room.poses(3)):
+        color, _ = room.render(Camera(**COLOR_CAMERA), pose @ np.linalg.inv(T_color_depth))
+        room.write_color(folder / "color" / f"{index:04d}.png", color)
+    (folder / "depth_stereo" / "0001.png").unlink()  # the other sensor stands in, as it does
+    (folder / "depth_stereo" / "0002.png").write_bytes(b"")  # for an image that cannot be read
+    set_camera(folder, color_camera=COLOR_CAMERA, T_color_depth=T_color_depth.tolist())
+    recording = open_dataset(folder)
+    for index in range(3):
+        color, depth = recording.color(index).numpy(), recording.depth(index, "tof").numpy()
+        expected, _ = room.render(recording.camera, room.poses(3)[index])
+        assert np.median(np.abs(color.astype(int) - expected)) <= 1
+        assert depth.shape == color.shape[:2]
+
+
+def test_colour_of_a_camera_of_its_own_has_its_own_distortion(write_folder, room):
+    folder = write_folder()
+    coefficients = np.array([-0.3, 0.1, 0.0, 0.0])
+    camera = Camera(**COLOR_CAMERA)
+    pixels = np.stack(np.meshgrid(np.arange(camera.width), np.arange(camera.height)), -1).astype(np.float64)
+    bent = cv2.undistortPoints(pixels.reshape(-1, 1, 2), camera.matrix, coefficients).reshape(pixels.shape)
+    rays = np.concatenate([bent, np.ones((*bent.shape[:2], 1))], -1)
+    for index, pose in enumerate(room.poses(3)):
+        room.write_color(folder / "color" / f"{index:04d}.png", room.render(camera, pose, rays)[0])
+    lens = COLOR_CAMERA | {"distortion": coefficients.tolist()}
+    set_camera(folder, color_camera=lens, T_color_depth=np.eye(4).tolist())
+    recording = open_dataset(folder)
+    expected, _ = room.render(recording.camera, room.poses(1)[0])
+    difference = np.abs(recording.color(0).numpy().astype(int) - expected)
+    assert np.quantile(difference, 0.9) <= 3
+    set_camera(folder, color_camera=COLOR_CAMERA)
+    assert np.quantile(np.abs(open_dataset(folder).color(0).numpy().astype(int) - expected), 0.9) > 6
 
 
 def test_pose_text_counts_frames_where_there_is_no_clock(write_folder, room, pose_line):
@@ -119,6 +161,13 @@ def test_iteration_ends_and_negative_indices_count_from_the_end(write_folder):
         ({"width": None}, "width"),
         ({"distortion": [0.1]}, "distortion"),
         ({"timestamps": "clock.txt"}, "clock.txt"),
+        ({"color_camera": COLOR_CAMERA}, "T_color_depth is missing"),
+        ({"T_color_depth": np.eye(4).tolist()}, "color_camera is missing"),
+        ({"color_camera": COLOR_CAMERA | {"fx": 0}, "T_color_depth": np.eye(4).tolist()}, r"color_camera\.fx"),
+        ({"color_camera": COLOR_CAMERA | {"distortion": [1]}, "T_color_depth": np.eye(4).tolist()}, "k1, k2, p1, p2"),
+        ({"color_camera": COLOR_CAMERA, "T_color_depth": np.eye(3).tolist()}, "T_color_depth: expected 4 rows of 4"),
+        ({"color_camera": COLOR_CAMERA, "T_color_depth": np.diag([1, 1, -1, 1]).tolist()}, "T_color_depth: expected"),
+        ({"color_camera": COLOR_CAMERA, "T_color_depth": MILLIMETRES.tolist()}, "T_color_depth: its translation"),
     ],
 )
 def test_bad_camera_file_names_the_field(write_folder, changes, message):
@@ -151,9 +200,10 @@ def test_names_that_never_match_are_an_error_not_an_empty_sensor(write_folder):
         open_dataset(folder)
 
 
-def test_example_of_the_docs_is_a_valid_camera_file(write_folder):
+@pytest.mark.parametrize("number", [0, 1])
+def test_example_of_the_docs_is_a_valid_camera_file(write_folder, number):
     folder = write_folder()
-    example = re.search(r"```json\n(.*?)```", DOCS.read_text(), re.S)[1]
+    example = re.findall(r"```json\n(.*?)```", DOCS.read_text(), re.S)[number]
     (folder / "camera.json").write_text(example)
     (folder / "timestamps.txt").write_text("1\n2\n3\n")
     assert open_dataset(folder).camera.width == 640

@@ -57,7 +57,7 @@ def test_truncated_image_is_an_error(tmp_path, suffix, keep):
 def test_undistortion_never_mixes_depths():
     calibration = Calibration(Camera(80, 60, 50.0, 50.0, 40.0, 30.0), distortion=(0.3, -0.2, 0.01, 0.0))
     depth = np.where(np.add.outer(np.arange(60), np.arange(80)) % 7 < 3, 1.0, 2.0).astype(np.float32)
-    straight = Undistorter(calibration).depth(depth)
+    straight = Undistorter(calibration.camera, calibration.distortion).depth(depth)
     assert set(np.unique(straight)) <= {0.0, 1.0, 2.0}
     assert (straight != depth).mean() > 0.1
 
