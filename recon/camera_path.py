@@ -24,14 +24,15 @@ class CameraPath:
     record: TrackingRecord | None = None
 
     @staticmethod
-    def of_run(run: RunDirectory) -> CameraPath:
-        """Raises DataError if the run has no trajectory, or a file of it cannot be read."""
+    def of_run(run: RunDirectory, *, with_record: bool = True) -> CameraPath:
+        """Raises DataError if the run has no trajectory, or a file that is asked for cannot be read."""
         if not run.trajectory_path.is_file():
             raise DataError(f"there is no trajectory yet; run `uncle map --run {run.root}`")
         estimate = Trajectory.load(run.trajectory_path)
         true, record = run.reference_trajectory_path, run.tracking_path
         reference = Trajectory.load(true) if true.is_file() else None
-        return CameraPath(estimate, reference, TrackingRecord.load(record) if record.is_file() else None)
+        has_record = with_record and record.is_file()
+        return CameraPath(estimate, reference, TrackingRecord.load(record) if has_record else None)
 
     @staticmethod
     def of_files(estimate: Path, reference: Path) -> CameraPath:

@@ -17,7 +17,7 @@ from .trajectory_metrics import TrajectoryMetrics, evaluate_trajectory
 
 def score_trajectory(run: RunDirectory) -> TrajectoryMetrics:
     """Raises DataError if there is no trajectory, or no truth at the same times; RunError without frames."""
-    path = CameraPath.of_run(run)
+    path = CameraPath.of_run(run, with_record=False)
     if path.reference is None:
         raise DataError("the data set has no ground-truth poses")
     metrics = evaluate_trajectory(path.estimate, path.reference)
@@ -30,7 +30,7 @@ def score_tracking(run: RunDirectory) -> TrackingMetrics | None:
         return None
     record = TrackingRecord.load(run.tracking_path)
     try:
-        matched = CameraPath.of_run(run).matched
+        matched = CameraPath.of_run(run, with_record=False).matched
     except DataError:  # no frame has a pose; the statuses say so
         matched = None
     return evaluate_tracking(record, matched)

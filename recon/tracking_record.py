@@ -45,7 +45,8 @@ class TrackingRecord(BaseModel):
         try:
             return TrackingRecord.model_validate_json(path.read_text())
         except (OSError, ValidationError) as error:
-            raise DataError(f"cannot read {path}: {error}; redo it with `uncle map --track --overwrite`") from error
+            reason = error.errors()[0]["msg"] if isinstance(error, ValidationError) else error
+            raise DataError(f"cannot read {path}: {reason}; redo it with `uncle map --track --overwrite`") from error
 
     def lost_ranges(self) -> list[tuple[int, int]]:
         """First and last index of each stretch of lost frames."""

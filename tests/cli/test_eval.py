@@ -8,6 +8,8 @@ import pytest
 from click.testing import CliRunner, Result
 from uncle.cli.main import main
 from uncle.recon.mesh_io import Mesh
+from uncle.recon.tracking_record import TrackedFrame, TrackingRecord
+from uncle.recon.trajectory import Trajectory
 
 FAST = ["--samples", "5000", "--views", "3"]
 
@@ -129,6 +131,90 @@ def test_mistakes_end_in_one_line(meshes, tmp_path, arguments, code, message):
     errors = [line for line in result.stderr.splitlines() if line.startswith("Error")]
     assert len(errors) == 1
     assert isinstance(result.exception, SystemExit)
+
+
+@pytest.fixture
+def trajectories(tmp_path):
+    """Paths of a trajectory that drifts by 2 cm a metre sideways, and of the truth: 4 m in 8 s."""
+    times, poses = 50.0 + 0.1 * np.arange(81), np.tile(np.eye(4), (81, 1, 1))
+    poses[:, 0, 3] = 0.05 * np.arange(81)
+    Trajectory(times, poses).save(tmp_path / "groundtruth.txt")
+    poses[:, 1, 3] = 0.02 * poses[:, 0, 3]
+    Trajectory(times, poses).save(tmp_path / "trajectory.txt")
+    (tmp_path / "late.txt").write_text("9000.5 0 0 0 0 0 0 1\n")
+    (tmp_path / "empty.txt").write_text("# timestamp tx ty tz qx qy qz qw\n")
+    (tmp_path / "nan.txt").write_text("50.0 nan nan nan nan nan nan nan\n")
+    (tmp_path / "one.txt").write_text("50.0 0 0 0.03 0 0 0 1\n")
+    (tmp_path / "words.txt").write_text("50.0 0 0 0 0 0 0 1\n51.0 a b c\n")
+    (tmp_path / "mesh.ply").touch()
+    return tmp_path / "trajectory.txt", tmp_path / "groundtruth.txt"
+
+
+def test_two_trajectories_as_table_and_pictures(trajectories, tmp_path):
+    result = uncle(*trajectories, "--plot", tmp_path / "plots")
+    assert result.exit_code == 0, result.output
+    for text in ("trajectory.txt against groundtruth.txt", "ATE aligned", "RPE translation over 1 s", "81 / 81"):
+        assert text in result.stdout
+    rows = {line.split("│")[1].strip(): line.split("│")[2].strip() for line in result.stdout.splitlines()
+            if line.startswith("│")}  # fmt: skip
+    assert rows["drift over 1 m of way, translation"] == rows["growth of the error with the way"] == "2.00"
+    assert rows["growth of the error with time"] == "1.000"
+    assert rows["length of the way"] == "4.00"
+    assert sorted(path.name for path in (tmp_path / "plots").iterdir()) == ["drift.png", "trajectory.png"]
+
+
+def test_two_trajectories_as_json(trajectories, tmp_path):
+    result = uncle(*trajectories, "--json")
+    assert result.exit_code == 0, result.output
+    stored = json.loads(result.stdout)
+    assert stored["estimate_path"] == str(trajectories[0])
+    assert stored["trajectory"]["rpe_second_translation_m"]["rmse"] == pytest.approx(0.01, abs=1e-6)
+    assert stored["trajectory"]["drift"]["segment_translation_ratio"] == pytest.approx(0.02, abs=1e-6)
+    one = json.loads(uncle(tmp_path / "one.txt", trajectories[1], "--json").stdout)["trajectory"]
+    assert one["ate_m"]["rmse"] == pytest.approx(0.03)
+    assert (one["rpe_translation_m"], one["drift"], one["completeness"]) == (None, None, None)
+    assert not list(tmp_path.glob("*.png"))
+
+
+@pytest.mark.parametrize(
+    ("arguments", "code", "message"),
+    [
+        (["late.txt", "groundtruth.txt"], 1, "share no time stamp"),
+        (["empty.txt", "groundtruth.txt"], 1, "empty.txt holds no poses"),
+        (["nan.txt", "groundtruth.txt"], 1, "no finite pose"),
+        (["words.txt", "groundtruth.txt"], 1, "words.txt, line 2"),
+        (["absent.txt", "groundtruth.txt"], 1, "absent.txt"),
+        (["trajectory.txt", "mesh.ply"], 2, "against a trajectory (.txt)"),
+        (["trajectory.txt"], 2, "give both"),
+        (["trajectory.txt", "groundtruth.txt", "--cull", "nowhere"], 2, "go with meshes"),
+        (["mesh.ply", "mesh.ply", "--plot", "plots"], 2, "--plot goes with trajectories"),
+    ],
+)
+def test_mistakes_with_trajectories_end_in_one_line(trajectories, tmp_path, arguments, code, message):
+    result = uncle(*(tmp_path / a if a.endswith((".txt", ".ply")) else a for a in arguments))
+    assert result.exit_code == code
+    assert message in result.stderr.replace("\n", " ")
+    assert len([line for line in result.stderr.splitlines() if line.startswith("Error")]) == 1
+    assert isinstance(result.exception, SystemExit)
+
+
+def test_a_tracked_run_says_how_it_was_tracked(run):
+    covariance = (0.01**2 * np.eye(6)).tolist()
+    frames = [TrackedFrame(index=i, timestamp=i, status="tracked", covariance=covariance) for i in range(11)]
+    frames.append(TrackedFrame(index=11, timestamp=11, status="lost"))
+    TrackingRecord(frames=tuple(frames)).save(run.tracking_path)
+    lines = run.reference_trajectory_path.read_text().splitlines()
+    run.trajectory_path.write_text("\n".join(lines[:-1]) + "\n")
+    result = uncle("--run", run.root, *FAST)
+    assert result.exit_code == 0, result.output
+    for text in ("Tracking", "11 (91.7 %)", "1 of 12 frames were lost: 11.", "frames of the run with a pose", "91.67"):
+        assert text in result.stdout
+    assert "trajectory.png" in result.stderr
+    assert (run.snapshots_path / "drift.png").is_file()
+    run.trajectory_path.write_text("# nothing\n")
+    result = uncle("--run", run.root, *FAST)
+    assert result.exit_code == 0, result.output
+    assert "the camera is not drawn" in result.stderr
 
 
 def test_run_with_nothing_to_score(make_box_run):
