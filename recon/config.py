@@ -79,6 +79,22 @@ class FieldConfig(_Strict):
     prior_weight: float = Field(1.0, ge=0, description="Weight of the pull back to the fused distances.")
 
 
+class TrackingConfig(_Strict):
+    """Finding the camera of every frame."""
+
+    enabled: bool = Field(
+        False, description="Estimate the poses; false: take those of the recording; set by `--track`."
+    )
+    color: bool = Field(
+        True, description="Use colour: features and photometric residuals; set by `--color` and `--no-color`."
+    )
+    features: int = Field(1000, ge=50, description="Features taken from an image, the strongest.")
+    readings: int = Field(3000, ge=0, description="Depth readings of each sensor that are aligned with the surface.")
+    keyframe_matches: int = Field(80, ge=12, description="A frame with fewer matches becomes a keyframe.")
+    keyframe_turn_rad: float = Field(0.15, gt=0, description="So does one that turned by more, radians,")
+    keyframe_shift: float = Field(0.08, gt=0, description="or moved by more than this share of the depth it sees.")
+
+
 class MapConfig(_Strict):
     """Everything that decides the result of `uncle map`."""
 
@@ -93,6 +109,7 @@ class MapConfig(_Strict):
     hold_out: int = Field(
         0, ge=0, description="Every n-th frame is kept out of the map, to be scored by `uncle eval`; 0: none."
     )
+    tracking: TrackingConfig = TrackingConfig()
     fusion: FusionConfig = FusionConfig()
     uncertainty: UncertaintyConfig = UncertaintyConfig()
     keyframes: KeyframeConfig = KeyframeConfig()

@@ -19,6 +19,7 @@ _MIN_Z_M = 0.05
 _SPARE = 1.5
 SHARED_ERROR = 0.15
 MIN_SIGMA_M = 1e-3
+ALL = slice(None)
 
 
 class FusionVolume:
@@ -96,28 +97,30 @@ class FusionVolume:
         """(R,) mean signed distance in metres, 0 where there is no reading."""
         return self.sums[:, 1] / self.sums[:, 0].clamp(min=1e-12)
 
-    def spread(self) -> Tensor:
-        """(R,) standard deviation of the readings of each sample, metres."""
-        weight = self.sums[:, 0].clamp(min=1e-12)
-        return (self.sums[:, 2] / weight - (self.sums[:, 1] / weight) ** 2).clamp(min=0).sqrt()
+    def spread(self, rows: Tensor | slice = ALL) -> Tensor:
+        """(R,) standard deviation of the readings of each sample, metres; or of some `rows` (...)."""
+        sums = self.sums[rows]
+        weight = sums[..., 0].clamp(min=1e-12)
+        return (sums[..., 2] / weight - (sums[..., 1] / weight) ** 2).clamp(min=0).sqrt()
 
-    def sigma(self) -> Tensor:
-        """(R,) standard error of the mean distance, metres.
+    def sigma(self, rows: Tensor | slice = ALL) -> Tensor:
+        """(R,) standard error of the mean distance, metres; or of some `rows` (...).
 
         Readings of one place share part of their error (same sensor, same texture), so their number helps only up to a
         point: the variance falls to `SHARED_ERROR` of one reading's, never below. Never better than `MIN_SIGMA_M`.
         """
-        gain = SHARED_ERROR + (1 - SHARED_ERROR) / self.counts().clamp(min=1)
-        return (self.spread().square() * gain).sqrt().clamp(min=MIN_SIGMA_M)
+        gain = SHARED_ERROR + (1 - SHARED_ERROR) / self.sums[rows][..., 3].clamp(min=1)
+        return (self.spread(rows).square() * gain).sqrt().clamp(min=MIN_SIGMA_M)
 
     def counts(self) -> Tensor:
         """(R,) number of readings of each sample."""
         return self.sums[:, 3]
 
-    def colors(self) -> Tensor:
-        """(R, 3) mean colour, 0..1; grey where none was seen."""
-        weight = self.color_sums[:, :1]
-        return torch.where(weight > 0, self.color_sums[:, 1:] / weight.clamp(min=1e-12) / 255, 0.5)
+    def colors(self, rows: Tensor | slice = ALL) -> Tensor:
+        """(R, 3) mean colour, 0..1; grey where none was seen; or of some `rows` (...)."""
+        sums = self.color_sums[rows]
+        weight = sums[..., :1]
+        return torch.where(weight > 0, sums[..., 1:] / weight.clamp(min=1e-12) / 255, 0.5)
 
     def _grow(self) -> None:
         missing = self.grid.rows - len(self.sums)

@@ -82,7 +82,7 @@ class SparseGrid:
         scaled = points / self.voxel_size_m
         base = torch.floor(scaled)
         part = scaled - base
-        corners = _CORNERS.to(self.device)
+        corners = CORNERS.to(self.device)
         rows = self.sample_rows(base.long()[:, None, :] + corners)
         weights = torch.where(corners.bool(), part[:, None, :], 1 - part[:, None, :]).prod(-1)
         return rows, weights
@@ -120,4 +120,4 @@ def unique_blocks(blocks: Tensor) -> Tensor:
     return torch.stack([keys >> 42, (keys >> 21) & mask, keys & mask], -1) - half
 
 
-_CORNERS = torch.tensor([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)])
+CORNERS = torch.tensor([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)])

@@ -34,6 +34,11 @@ class NoiseModel(nn.Module):
             self.layers[-1].bias.fill_(math.log(math.expm1(START_BETA_M)))
         self.optimizer = torch.optim.Adam(self.parameters(), config.learning_rate)
 
+    @property
+    def taught(self) -> bool:
+        """Whether it ever learned from residuals."""
+        return bool(self.optimizer.state)
+
     def forward(self, features: Tensor) -> Tensor:
         hidden = features
         for layer in self.layers[:-1]:

@@ -1,90 +1,257 @@
-"""The default tracker."""
+"""The default tracker: features against the keyframes first, then Gauss-Newton against features, surface and colour."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
+import torch
 
 from ..camera import Camera
-from .bundle_adjustment import Observations
+from ..config import TrackingConfig
+from ..frame import Frame
+from ..fusion import FusionVolume
+from ..tracking_record import Status, TrackedFrame, TrackingRecord
+from ..uncertainty import NoiseModel
 from .keyframe_graph import KeyframeGraph
-from .landmarks import NONE, Sighting
-from .local_features import match, match_near
-from .motion import inverse, transform
-from .pnp import agreeing, ransac_pose, refined_pose
+from .landmarks import Sighting
+from .local_features import LocalFeatures, extract_features, match, match_near
+from .motion import angle, inverse, motion_between, transform
+from .pose_estimation import MIN_INLIERS, Term, feature_term, minimise, prior_term, ransac_pose
+from .sightings import readings_of, sight, weigh
+from .surface_alignment import Readings, agreement, surface_term
 
-_SEARCH_PX = 10.0
-_SHARE = 0.65
-_TURN_RAD, _SHIFT = 0.15, 0.08
+SEARCH_PX = 10.0  # around where a landmark is expected
+AGREES = 4.0  # sigmas
+SURE_MATCHES = 30  # fewer are believed only near the expected pose
+MIN_READINGS = 500
+MIN_KNOWN, MIN_ON_SURFACE = 0.4, 0.6  # shares of the readings: below, the surface does not confirm a pose
+WEAK_M, WEAK_RAD = 0.02, 0.02  # 1 sigma of the direction that is known least
+_COARSE_SCALE = 6.0  # of the robust kernel in the first pass against the surface
+_EXPECTED_M, _EXPECTED_RAD = 0.02, 0.02  # least uncertainty of a predicted motion
+_FARTHEST_M, _FARTHEST_RAD = 0.5, 0.8  # a few matches do not prove a larger motion within one frame
 
 
-class FeatureTracker:
-    def __init__(self, camera: Camera, seed: int = 0) -> None:
-        self.camera = camera
-        self.graph = KeyframeGraph(camera)
-        self.seed = seed
-        self.velocity = np.eye(4)
-        self.last: Sighting | None = None
-        self.reference_matches = 0
-        self.log = []
+@dataclass(frozen=True)
+class _Found:
+    """A pose (4, 4), its information (6, 6) from what was seen, the matched features (K,) and their landmarks (K,)."""
 
-    def track(self, sighting: Sighting) -> Sighting | None:
-        if self.last is None:
-            self.graph.add(sighting)
-            self.graph.make_keyframe(0)
-            self.last = sighting
-            self.reference_matches = int((sighting.landmark >= 0).sum())
-            return sighting
-        predicted = self.last.pose @ self.velocity
-        current = self.graph.landmarks.current(self.last.landmark)
-        numbers = self.graph.local_landmarks(predicted, np.unique(current[current >= 0]))
-        points = self.graph.landmarks.points[numbers]
-        similarity = sighting.features.descriptors @ self.graph.landmarks.descriptors[numbers].T
-        pairs = match(similarity)
-        found = ransac_pose(self.camera, points[pairs[:, 1]], sighting.features.uv[pairs[:, 0]], self.seed)
+    pose: np.ndarray
+    information: np.ndarray
+    rows: np.ndarray
+    numbers: np.ndarray
+
+
+class AlignTracker:
+    """Tracks frame after frame and keeps the trajectory consistent.
+
+    `noise` are the models that weigh the depth of each sensor (None: a rule of thumb does), `volume` the map that grows
+    along with the trajectory; without it features alone are tracked.
+    """
+
+    def __init__(
+        self,
+        camera: Camera,
+        config: TrackingConfig,
+        seed: int,
+        T_world_first: np.ndarray | None = None,
+        noise: Sequence[NoiseModel | None] = (),
+        volume: FusionVolume | None = None,
+    ) -> None:
+        self.camera, self.config, self.seed = camera, config, seed
+        self.noise, self.volume = noise, volume
+        self.graph = KeyframeGraph(camera, seed)
+        self.frames: list[TrackedFrame] = []
+        self._first = np.eye(4) if T_world_first is None else T_world_first
+        self._velocity = np.eye(4)
+        self._lost = False
+
+    # --- the protocol of a tracker -----------------------------------------------------------------------------
+    def prepare(self, frame: Frame) -> LocalFeatures:
+        """What can be made of a frame beforehand, in the background."""
+        return extract_features(frame.color.numpy(), self.config.features if self.config.color else 0)
+
+    def track(
+        self, frame: Frame, features: LocalFeatures, noise_features: dict[str, torch.Tensor]
+    ) -> np.ndarray | None:
+        """T_world_camera (4, 4) of the next frame, None where it is lost. `noise_features` as the noise models take them."""
+        sighting = sight(frame, features, noise_features, self.noise, self.camera)
+        readings = self._readings(frame, noise_features)
+        if not self.graph.sightings:
+            return self._begin(frame, sighting, features, readings)
+        found, status = self._locate(sighting, features.descriptors, readings)
         if found is None:
-            self.log.append((sighting.index, 'lost', len(pairs)))
+            self._note(frame, "lost", 0)
+            self._lost, self._velocity = True, np.eye(4)
             return None
-        pose, kept = found
-        pose, _ = refined_pose(self.camera, pose, points, _observations(sighting, pairs[kept]))
-        pairs = match_near(similarity, self._near(pose, points, sighting.features.uv))
-        observations = _observations(sighting, pairs)
-        pose, _ = refined_pose(self.camera, pose, points, observations)
-        observations = agreeing(self.camera, pose, points, observations)
-        pose, information = refined_pose(self.camera, pose, points, observations)
-        good = np.isin(pairs[:, 1], observations.point)
-        sighting.landmark[pairs[good, 0]] = numbers[pairs[good, 1]]
-        sighting.pose = pose
-        self.velocity = inverse(self.last.pose) @ pose
-        position = self.graph.add(sighting)
-        self.last = sighting
-        if self._is_keyframe(sighting, good.sum()):
-            self.graph.make_keyframe(position)
-            self.graph.adjust_locally()
-            self.reference_matches = int((sighting.landmark >= 0).sum())
-        return sighting
+        sighting.pose = found.pose
+        sighting.landmark[found.rows] = found.numbers
+        self._velocity = np.eye(4) if self._lost else inverse(self._last.pose) @ found.pose
+        self._lost = False
+        self._note(frame, status, len(found.rows))
+        self.graph.add(sighting, features.descriptors, self._is_keyframe(sighting, len(found.rows)))
+        return self._last.pose
+
+    def poses(self) -> dict[int, np.ndarray]:
+        """T_world_camera (4, 4) of every frame that is not lost, by index, as known by now."""
+        return {sighting.index: sighting.pose for sighting in self.graph.sightings}
+
+    def finish(self) -> dict[int, np.ndarray]:
+        """All frames made consistent, with what was learned about the sensors since they were seen."""
+        for sighting in self.graph.sightings:
+            weigh(sighting, self.noise)
+        self.graph.adjust_globally()
+        return self.poses()
+
+    def record(self) -> TrackingRecord:
+        """Status of every frame and, after `finish`, the covariance of its pose."""
+        spread = {self.graph.sightings[p].index: c for p, c in self.graph.covariances().items()}
+        frames = [
+            f.model_copy(update={"covariance": spread[f.index].tolist()}) if f.index in spread else f
+            for f in self.frames
+        ]
+        return TrackingRecord(frames=tuple(frames))
+
+    # --- one frame ---------------------------------------------------------------------------------------------
+    @property
+    def _last(self) -> Sighting:
+        return self.graph.sightings[-1]
+
+    def _readings(self, frame: Frame, noise_features: dict[str, torch.Tensor]) -> Readings | None:
+        """What is aligned with the surface; None where there is too little, or no map."""
+        if self.volume is None or self.config.readings == 0:
+            return None
+        reach = self.volume.max_depth_m
+        readings = readings_of(frame, noise_features, self.noise, self.camera, self.config, reach)
+        return readings if len(readings) >= MIN_READINGS else None
+
+    def _begin(
+        self, frame: Frame, sighting: Sighting, features: LocalFeatures, readings: Readings | None
+    ) -> np.ndarray | None:
+        """The first frame that shows anything defines the world."""
+        anchors = int((sighting.mean_depth()[0] > 0).sum())
+        if anchors < MIN_INLIERS and readings is None:
+            self._note(frame, "lost", 0)
+            return None
+        sighting.pose = self._first.copy()
+        self.graph.add(sighting, features.descriptors, as_keyframe=True)
+        self._note(frame, "tracked", 0, np.zeros((6, 6)))
+        return sighting.pose
+
+    def _locate(
+        self, sighting: Sighting, descriptors: np.ndarray, readings: Readings | None
+    ) -> tuple[_Found | None, Status]:
+        expected = self._last.pose @ self._velocity
+        found = None if self._lost else self._by_features(sighting, descriptors, expected)
+        if found is not None:
+            found = self._refined(found, sighting, [] if readings is None else [surface_term(self.volume, readings)])
+            return found, "weak" if _is_weak(found.information) else "tracked"
+        if not self._lost and readings is not None:
+            found = self._by_surface(readings, expected)
+            if found is not None:
+                return found, "weak"
+        found = self._again(sighting, descriptors)
+        return found, "relocalised" if found is not None else "lost"
+
+    def _by_features(self, sighting: Sighting, descriptors: np.ndarray, expected: np.ndarray) -> _Found | None:
+        """Match to the landmarks around, whatever the motion was; then look for the others where they should be."""
+        numbers = self.graph.local_landmarks(expected, self.graph.landmarks.seen_by(self._last))
+        points = self.graph.landmarks.points[numbers]
+        similarity = descriptors @ self.graph.landmarks.descriptors[numbers].T
+        pairs = match(similarity)
+        first = ransac_pose(self.camera, points[pairs[:, 1]], sighting.uv[pairs[:, 0]], self.seed)
+        if first is None:
+            return None
+        pose, kept = first
+        if len(kept) < SURE_MATCHES and _far(motion_between(expected, pose)):
+            return None
+        pose, _ = minimise(pose, [feature_term(self.camera, points, sighting.observations(*pairs[kept].T))])
+        pairs = match_near(similarity, self._near(pose, points, sighting.uv))
+        found = self._agreeing(sighting, pose, pairs[:, 0], numbers[pairs[:, 1]])
+        return found if len(found.rows) >= MIN_INLIERS else None
+
+    def _agreeing(self, sighting: Sighting, pose: np.ndarray, rows: np.ndarray, numbers: np.ndarray) -> _Found:
+        """The pose from matches of features `rows` (K,) to landmarks `numbers` (K,), and the matches that agree with it."""
+        points = self.graph.landmarks.points
+        for _ in range(2):
+            term = feature_term(self.camera, points, sighting.observations(rows, numbers))
+            pose, information = minimise(pose, [term])
+            local = transform(inverse(pose)[None], points[numbers])
+            off = (self._project(local) - sighting.uv[rows]) / sighting.sigma_px[rows, None]
+            kept = ((off**2).sum(1) < AGREES**2) & (local[:, 2] > 0)
+            rows, numbers = rows[kept], numbers[kept]
+        return _Found(pose, information, rows, numbers)
+
+    def _refined(self, found: _Found, sighting: Sighting, terms: list[Term]) -> _Found:
+        """All that was seen together: features, surface and colour."""
+        observations = sighting.observations(found.rows, found.numbers)
+        terms = [feature_term(self.camera, self.graph.landmarks.points, observations), *terms]
+        pose, information = minimise(found.pose, terms)
+        return _Found(pose, information, found.rows, found.numbers)
+
+    def _by_surface(self, readings: Readings, expected: np.ndarray) -> _Found | None:
+        """Without features: the surface alone, held by the expected motion in directions that it does not show."""
+        step = motion_between(self._last.pose, expected)
+        sigma_m = max(_EXPECTED_M, float(np.linalg.norm(step[:3])))
+        sigma_rad = max(_EXPECTED_RAD, float(np.linalg.norm(step[3:])))
+        prior = prior_term(expected, np.diag([sigma_m**-2] * 3 + [sigma_rad**-2] * 3))
+        pose, _ = minimise(expected, [surface_term(self.volume, readings, scale=_COARSE_SCALE), prior])
+        pose, information = minimise(pose, [surface_term(self.volume, readings), prior])
+        known, on_surface = agreement(self.volume, readings, pose)
+        if known < MIN_KNOWN or on_surface < MIN_ON_SURFACE:
+            return None
+        nothing = np.zeros(0, np.int64)
+        return _Found(pose, information, nothing, nothing)
+
+    def _again(self, sighting: Sighting, descriptors: np.ndarray) -> _Found | None:
+        """Relocalise against all keyframes."""
+        place = self.graph.recognise(sighting, descriptors)
+        return None if place is None else self._agreeing(sighting, place.pose, place.rows, place.numbers)
 
     def _is_keyframe(self, sighting: Sighting, matches: int) -> bool:
-        newest = self.graph.sightings[self.graph.keyframes[-1]]
-        step = inverse(newest.pose) @ sighting.pose
-        turn = np.arccos(np.clip((np.trace(step[:3, :3]) - 1) / 2, -1, 1))
+        """A frame that moved or lost sight of what is known, and can lend landmarks."""
         depth, _ = sighting.mean_depth()
-        typical = np.median(depth[depth > 0]) if (depth > 0).any() else 1.0
-        return matches < 80 or turn > _TURN_RAD or np.linalg.norm(step[:3, 3]) > _SHIFT * typical
+        if (depth > 0).sum() < MIN_INLIERS:
+            return False
+        step = inverse(self.graph.sightings[self.graph.keyframes[-1]].pose) @ sighting.pose
+        shift = np.linalg.norm(step[:3, 3]) / np.median(depth[depth > 0])
+        config = self.config
+        return (
+            matches < config.keyframe_matches or angle(step) > config.keyframe_turn_rad or shift > config.keyframe_shift
+        )
 
-    def _near(self, pose, points, uv) -> np.ndarray:
+    def _note(self, frame: Frame, status: Status, matches: int, covariance: np.ndarray | None = None) -> None:
+        self.frames.append(
+            TrackedFrame(
+                index=frame.index, timestamp=frame.timestamp, status=status, matches=matches,
+                covariance=None if covariance is None else covariance.tolist(),
+            )
+        )  # fmt: skip
+
+    def _near(self, pose: np.ndarray, points: np.ndarray, uv: np.ndarray) -> np.ndarray:
+        """(N, P) which features lie near the projection of which points."""
         local = transform(inverse(pose)[None], points)
-        z = np.maximum(local[:, 2], 1e-6)
-        u = self.camera.fx * local[:, 0] / z + self.camera.cx
-        v = self.camera.fy * local[:, 1] / z + self.camera.cy
-        u[local[:, 2] < 0.05] = -1e6
-        return (uv[:, :1] - u) ** 2 + (uv[:, 1:] - v) ** 2 < _SEARCH_PX**2
+        projected = np.where(local[:, 2:] > 0.05, self._project(local), -1e6)
+        return ((uv[:, None] - projected) ** 2).sum(-1) < SEARCH_PX**2
+
+    def _project(self, local: np.ndarray) -> np.ndarray:
+        """(N, 3) points in camera axes -> (N, 2) pixels; meaningless behind the camera."""
+        focal, centre = np.array([self.camera.fx, self.camera.fy]), np.array([self.camera.cx, self.camera.cy])
+        return focal * local[:, :2] / np.maximum(local[:, 2:], 1e-6) + centre
 
 
-def _observations(sighting: Sighting, pairs: np.ndarray) -> Observations:
-    rows = pairs[:, 0]
-    return Observations(
-        np.zeros(len(rows), np.int64), pairs[:, 1], sighting.features.uv[rows], sighting.features.sigma_px[rows],
-        sighting.depths[rows], sighting.sigmas_m[rows],
-    )  # fmt: skip
+def summary(record: TrackingRecord) -> Counter[str]:
+    """How many frames have each status."""
+    return Counter(frame.status for frame in record.frames)
+
+
+def _far(step: np.ndarray) -> bool:
+    return bool(np.linalg.norm(step[:3]) > _FARTHEST_M or np.linalg.norm(step[3:]) > _FARTHEST_RAD)
+
+
+def _is_weak(information: np.ndarray) -> bool:
+    """Whether some direction is known less well than it should."""
+    scaled = information * np.outer(*[np.repeat([WEAK_M, WEAK_RAD], 3)] * 2)  # in units where 1 is just good enough
+    return bool(np.linalg.eigvalsh(scaled)[0] < 1)

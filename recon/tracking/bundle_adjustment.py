@@ -40,10 +40,14 @@ class Observations:
     def __getitem__(self, kept: np.ndarray) -> Observations:
         return Observations(*(getattr(self, name)[kept] for name in self.__dataclass_fields__))
 
+    def with_points(self, point: np.ndarray) -> Observations:
+        """The same, of other point numbers (M,)."""
+        return replace(self, point=point)
+
 
 @dataclass(frozen=True)
 class Adjusted:
-    """poses (C, 4, 4), points (P, 3), cost of the last accepted step, information (C, 6, 6) of each pose alone."""
+    """poses (C, 4, 4), points (P, 3), cost at the end; `information` (C, 6, 6) of each pose if the points are true."""
 
     poses: np.ndarray
     points: np.ndarray
@@ -93,6 +97,27 @@ def adjust(
         if gain < 1e-5 * now.cost:
             break
     return Adjusted(poses, points, now.cost, now.U)
+
+
+def covariances(
+    camera: Camera, poses: np.ndarray, points: np.ndarray, observations: Observations, free_poses: np.ndarray
+) -> np.ndarray:
+    """Covariance (C, 6, 6) of each pose with all points and the other poses unknown; 0 for poses that are not free.
+
+    The whitened residuals are taken to be as large as they are: their robust spread scales the result.
+    """
+    system = _linearise(camera, poses, points, observations, None)
+    free = np.flatnonzero(free_poses)
+    damping = 1e-9
+    S, _ = _reduced_system(
+        system, observations, free, _damped(system.U[free], damping), np.linalg.inv(_damped(system.V, damping))
+    )
+    r, _, _ = residuals(camera, poses[observations.camera], points[observations.point], observations)
+    spread = 1.48 * np.median(np.abs(r[:, :2]))
+    blocks = np.linalg.pinv(S, hermitian=True).reshape(len(free), 6, len(free), 6)
+    result = np.zeros((len(poses), 6, 6))
+    result[free] = blocks[np.arange(len(free)), :, np.arange(len(free))] * max(spread**2, 1e-2)
+    return result
 
 
 def residuals(
@@ -174,7 +199,16 @@ def _solve(system: _Linearised, observations, free_poses, free_points, damping) 
 
 
 def _reduced_step(system: _Linearised, observations, free, U, V_inverse) -> np.ndarray:
-    """Steps (F, 6) of the free cameras: the normal equations with the points eliminated."""
+    """Steps (F, 6) of the free cameras."""
+    S, right = _reduced_system(system, observations, free, U, V_inverse)
+    try:
+        return -cho_solve(cho_factor(S, lower=True), right).reshape(-1, 6)
+    except np.linalg.LinAlgError:  # rounding made it indefinite: more damping helps
+        return np.zeros((len(free), 6))
+
+
+def _reduced_system(system: _Linearised, observations, free, U, V_inverse) -> tuple[np.ndarray, np.ndarray]:
+    """Normal equations (6 F, 6 F) and (6 F,) of the free cameras with the points eliminated."""
     position = np.full(len(system.U), -1)
     position[free] = np.arange(len(free))
     used = position[observations.camera] >= 0
@@ -184,11 +218,7 @@ def _reduced_step(system: _Linearised, observations, free, U, V_inverse) -> np.n
     S = -(Y @ W.T).toarray()
     for i in range(len(free)):
         S[6 * i : 6 * i + 6, 6 * i : 6 * i + 6] += U[i]
-    right = system.g_camera[free].ravel() - Y @ system.g_point.ravel()
-    try:
-        return -cho_solve(cho_factor(S, lower=True), right).reshape(-1, 6)
-    except np.linalg.LinAlgError:  # rounding made it indefinite: more damping helps
-        return np.zeros((len(free), 6))
+    return S, system.g_camera[free].ravel() - Y @ system.g_point.ravel()
 
 
 def _damped(blocks: np.ndarray, damping: float) -> np.ndarray:

@@ -1,94 +1,167 @@
-"""Keyframes, what they share, and keeping them consistent: local and global bundle adjustment."""
+"""Keyframes, what they share, and keeping them consistent: local and global bundle adjustment, loops."""
 
 from __future__ import annotations
 
 import numpy as np
 
 from ..camera import Camera
-from .bundle_adjustment import adjust, without_outliers
+from .bundle_adjustment import adjust, covariances, without_outliers
 from .landmarks import NONE, Landmarks, Sighting, observations_of, seen_at_least
-from .motion import inverse, transform
+from .loops import Place, corrected_poses, recognise
+from .motion import angle, inverse, transform
 
 LOCAL_KEYFRAMES = 8
 _LOCAL_ITERATIONS = 4
 _OUTLIER = 5.0  # sigmas
 _MAX_CAMERAS = 250  # adjusted together with all points; frames between them follow
+_MIN_FEATURES = 20  # a frame with fewer follows its keyframe
 _NEW_DEPTH_SIGMA = 0.15  # of the depth: a reading less certain makes no landmark
+_KNOWN_SHARE = 20  # landmarks in common that make two keyframes neighbours: nothing to recognise
+_JUMP_M, _JUMP_RAD = 0.02, 0.02  # a loop that is off by more bends the graph before bundle adjustment
 
 
 class KeyframeGraph:
-    """All sightings in order, which of them are keyframes, and the landmarks they share."""
+    """All sightings in order, which of them are keyframes (positions in `sightings`), and the landmarks they share."""
 
-    def __init__(self, camera: Camera) -> None:
-        self.camera = camera
+    def __init__(self, camera: Camera, seed: int) -> None:
+        self.camera, self.seed = camera, seed
         self.sightings: list[Sighting] = []
-        self.keyframes: list[int] = []  # positions in `sightings`
+        self.keyframes: list[int] = []
         self.landmarks = Landmarks()
+        self.loops: list[tuple[int, int]] = []  # earlier and later keyframe
 
-    def add(self, sighting: Sighting) -> int:
-        """Remember a frame; returns its position."""
+    def add(self, sighting: Sighting, descriptors: np.ndarray, as_keyframe: bool) -> bool:
+        """Remember a frame; a keyframe lends its unmatched features, where they have depth, as new landmarks, and what
+        was seen before is made consistent. Returns whether a loop was closed."""
         self.sightings.append(sighting)
-        return len(self.sightings) - 1
-
-    def make_keyframe(self, position: int) -> None:
-        """The frame lends its unmatched features, where they have depth, as new landmarks."""
-        sighting = self.sightings[position]
-        depth, sigma = sighting.mean_depth()
-        new = np.flatnonzero((sighting.landmark == NONE) & (depth > 0) & (sigma < _NEW_DEPTH_SIGMA * depth))
-        local = self._rays(sighting.features.uv[new]) * depth[new, None]
-        points = transform(sighting.pose[None], local)
-        sighting.landmark[new] = self.landmarks.add(points, sighting.features.descriptors[new])
-        self.keyframes.append(position)
+        if as_keyframe:
+            self._lend(sighting, descriptors)
+            self.keyframes.append(len(self.sightings) - 1)
+        sighting.forget_unmatched()
+        if not as_keyframe or len(self.keyframes) < 2:
+            return False
+        self._adjust_locally()
+        return self._close_loop()
 
     def numbers(self, position: int) -> np.ndarray:
         """The landmarks (K,) that a frame sees, distinct."""
-        current = self.landmarks.current(self.sightings[position].landmark)
-        return np.unique(current[current >= 0])
-
-    def covisible(self, numbers: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """For each keyframe, how many of the landmarks `numbers` it sees; positions and counts, most first."""
-        shared = np.array([np.isin(numbers, self.numbers(k), assume_unique=True).sum() for k in self.keyframes])
-        order = np.argsort(-shared, kind="stable")
-        return np.array(self.keyframes)[order], shared[order]
+        return self.landmarks.seen_by(self.sightings[position])
 
     def local_landmarks(self, pose: np.ndarray, numbers: np.ndarray, count: int = 6) -> np.ndarray:
         """Landmarks of the keyframes that share most with `numbers`, of the newest one, and of the nearest in view."""
-        positions, shared = self.covisible(numbers)
+        positions, shared = self._covisible(numbers)
         chosen = {*positions[:count][shared[:count] > 0].tolist(), self.keyframes[-1], *self._near(pose, 4)}
         return np.unique(np.concatenate([self.numbers(p) for p in sorted(chosen)]))
 
-    def adjust_locally(self) -> None:
-        """Bundle adjustment of the newest keyframes and those that share most with them; the others hold."""
-        newest = self.keyframes[-1]
-        positions, shared = self.covisible(self.numbers(newest))
-        window = [p for p, s in zip(positions[:LOCAL_KEYFRAMES], shared, strict=False) if s > 0]
-        inside = np.unique(np.concatenate([self.numbers(p) for p in window]))
-        outside = [
-            p for p in self.keyframes if p not in window and np.isin(self.numbers(p), inside).sum() >= 10
-        ][-2 * LOCAL_KEYFRAMES :]  # fmt: skip
-        cameras = [*window, *outside]
-        free = np.array([p in window and p != self.keyframes[0] for p in cameras])
-        if not outside and self.keyframes[0] not in window:
-            free[-1] = False  # something must hold the rest
-        self._adjust(cameras, free, _LOCAL_ITERATIONS)
+    def recognise(self, view: Sighting, descriptors: np.ndarray, but: set[int] = frozenset()) -> Place | None:
+        """The keyframe, not in `but`, that sees what `view` sees."""
+        candidates = {p: self.numbers(p) for p in self.keyframes if p not in but}
+        return recognise(self.camera, view, descriptors, candidates, self.landmarks, self.seed)
 
     def adjust_globally(self, iterations: int = 30) -> None:
         """Bundle adjustment of the whole recording: some cameras with all points, then the frames between them."""
-        with_pose = list(range(len(self.sightings)))
-        stride = -(-len(with_pose) // _MAX_CAMERAS)
-        cameras = sorted({*with_pose[::stride], *self.keyframes}) if stride > 1 else with_pose
-        free = np.array([p != self.keyframes[0] for p in cameras])
-        self._adjust(cameras, free, iterations)
-        others = [p for p in with_pose if p not in set(cameras)]
+        strong = self._strong()
+        stride = -(-len(strong) // _MAX_CAMERAS) or 1
+        cameras = sorted({*strong[::stride], *self.keyframes}) if stride > 1 else strong
+        if len(cameras) < 2:
+            return
+        before = {k: self.sightings[k].pose for k in self.keyframes}
+        self._adjust(cameras, np.array([p != self.keyframes[0] for p in cameras]), iterations)
+        others = sorted(set(strong) - set(cameras))
         if others:
             self._adjust(others, np.ones(len(others), bool), 10, free_points=False)
+        self._carry(before, set(strong))
+
+    def covariances(self) -> dict[int, np.ndarray]:
+        """Covariance (6, 6) of each frame's pose against the first one, by position, where features determine it."""
+        strong = self._strong()
+        stride = -(-len(strong) // _MAX_CAMERAS) or 1
+        cameras = sorted({*strong[::stride], *self.keyframes}) if stride > 1 else strong
+        if len(cameras) < 2:
+            return {}
+        sightings = [self.sightings[p] for p in cameras]
+        observations, numbers = observations_of(sightings, self.landmarks)
+        poses, points = np.stack([s.pose for s in sightings]), self.landmarks.points[numbers]
+        observations = without_outliers(self.camera, poses, points, observations, _OUTLIER)
+        observations = observations[seen_at_least(observations, 2)]
+        free = np.array([p != self.keyframes[0] for p in cameras])
+        found = covariances(self.camera, poses, points, observations, free)
+        nearest = np.searchsorted(cameras, strong).clip(max=len(cameras) - 1)
+        return {p: found[i] for p, i in zip(strong, nearest, strict=True)}
+
+    # --- consistency -------------------------------------------------------------------------------------------
+    def _lend(self, sighting: Sighting, descriptors: np.ndarray) -> None:
+        depth, sigma = sighting.mean_depth()
+        new = np.flatnonzero((sighting.landmark == NONE) & (depth > 0) & (sigma < _NEW_DEPTH_SIGMA * depth))
+        points = transform(sighting.pose[None], self._rays(sighting.uv[new]) * depth[new, None])
+        sighting.landmark[new] = self.landmarks.add(points, descriptors[new])
+
+    def _adjust_locally(self) -> None:
+        """Bundle adjustment of the newest keyframe and those that share most with it; the others hold."""
+        newest = self.keyframes[-1]
+        positions, shared = self._covisible(self.numbers(newest))
+        window = [newest, *(p for p, s in zip(positions[:LOCAL_KEYFRAMES], shared, strict=False) if s and p != newest)]
+        inside = np.unique(np.concatenate([self.numbers(p) for p in window]))
+        positions, shared = self._covisible(inside)
+        outside = [p for p, s in zip(positions, shared, strict=True) if p not in window and s >= 10]
+        cameras = [*window, *outside[: 2 * LOCAL_KEYFRAMES]]
+        free = np.array([p in window and p != self.keyframes[0] for p in cameras])
+        if free.all():  # something must hold the rest
+            free[int(np.argmin(cameras))] = False
+        self._adjust(cameras, free, _LOCAL_ITERATIONS)
+
+    def _close_loop(self) -> bool:
+        """Look for the newest keyframe's view among those that are no neighbours of it; join and straighten."""
+        newest = self.keyframes[-1]
+        view, numbers = self.sightings[newest], self.numbers(newest)
+        positions, shared = self._covisible(numbers)
+        neighbours = {*positions[shared >= _KNOWN_SHARE].tolist(), *self.keyframes[-3:]}
+        current = self.landmarks.current(view.landmark)
+        place = self.recognise(view, self.landmarks.descriptors[current], neighbours)
+        if place is None:
+            return False
+        self.loops.append((place.keyframe, newest))
+        off = inverse(view.pose) @ place.pose
+        if np.linalg.norm(off[:3, 3]) > _JUMP_M or angle(off) > _JUMP_RAD:
+            self._bend(place)
+        self.landmarks.merge(view.landmark[place.rows], place.numbers)
+        self.adjust_globally(10)
+        return True
+
+    def _bend(self, place: Place) -> None:
+        """Spread the error of a loop over the keyframes; landmarks and frames move with theirs."""
+        before = {k: self.sightings[k].pose for k in self.keyframes}
+        order = {k: i for i, k in enumerate(self.keyframes)}
+        earlier, later = place.keyframe, self.keyframes[-1]
+        loops = [
+            (order[a], order[b], inverse(before[a]) @ before[b]) for a, b in self.loops[:-1] if a in order and b in order
+        ]  # fmt: skip
+        loops.append((order[earlier], order[later], inverse(before[earlier]) @ place.pose))
+        poses = corrected_poses(np.stack([before[k] for k in self.keyframes]), loops)
+        owner = np.full(len(self.landmarks), NONE)
+        for k in reversed(self.keyframes):  # a landmark belongs to the first keyframe that saw it
+            owner[self.numbers(k)] = k
+        for k, pose in zip(self.keyframes, poses, strict=True):
+            self.sightings[k].pose = pose
+            mine = owner == k
+            self.landmarks.points[mine] = transform((pose @ inverse(before[k]))[None], self.landmarks.points[mine])
+        self._carry(before, set(self.keyframes))
+
+    def _carry(self, before: dict[int, np.ndarray], placed: set[int]) -> None:
+        """Frames not in `placed` follow the last keyframe before them from where it was `before`."""
+        keyframe = self.keyframes[0]
+        for position, sighting in enumerate(self.sightings):
+            keyframe = position if position in before else keyframe
+            if position not in placed:
+                sighting.pose = self.sightings[keyframe].pose @ inverse(before[keyframe]) @ sighting.pose
 
     def _adjust(self, positions: list[int], free: np.ndarray, iterations: int, free_points: bool = True) -> None:
         sightings = [self.sightings[p] for p in positions]
         observations, numbers = observations_of(sightings, self.landmarks)
         poses, points = np.stack([s.pose for s in sightings]), self.landmarks.points[numbers]
         observations = without_outliers(self.camera, poses, points, observations, 3 * _OUTLIER)
-        observations = observations[seen_at_least(observations, 2)] if free_points else observations
+        if free_points:
+            observations = observations[seen_at_least(observations, 2)]
         first = max(2, iterations // 2)
         result = adjust(self.camera, poses, points, observations, free, free_points=free_points, iterations=first)
         kept = without_outliers(self.camera, result.poses, result.points, observations, _OUTLIER)
@@ -99,15 +172,26 @@ class KeyframeGraph:
             if moves:
                 sighting.pose = pose
         if free_points:
-            moved = np.unique(kept.point)
-            self.landmarks.points[numbers[moved]] = result.points[moved]
+            seen = np.unique(kept.point)
+            self.landmarks.points[numbers[seen]] = result.points[seen]
+
+    # --- neighbourhood -----------------------------------------------------------------------------------------
+    def _strong(self) -> list[int]:
+        """Positions of the frames that enough features hold."""
+        return [p for p, s in enumerate(self.sightings) if (s.landmark >= 0).sum() >= _MIN_FEATURES]
+
+    def _covisible(self, numbers: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """For each keyframe, how many of the landmarks `numbers` it sees; positions and counts, most first."""
+        marked = np.zeros(len(self.landmarks), bool)
+        marked[numbers] = True
+        shared = np.array([marked[self.numbers(k)].sum() for k in self.keyframes])
+        order = np.argsort(-shared, kind="stable")
+        return np.array(self.keyframes)[order], shared[order]
 
     def _near(self, pose: np.ndarray, count: int) -> list[int]:
         """Keyframes that look from about the same place into about the same direction."""
-        there = np.stack([self.sightings[k].pose for k in self.keyframes])
-        between = inverse(pose) @ there
-        angle = np.arccos(np.clip((np.trace(between[:, :3, :3], axis1=1, axis2=2) - 1) / 2, -1, 1))
-        apart = np.linalg.norm(between[:, :3, 3], axis=1) + angle
+        between = inverse(pose) @ np.stack([self.sightings[k].pose for k in self.keyframes])
+        apart = np.linalg.norm(between[:, :3, 3], axis=1) + angle(between)
         order = np.argsort(apart)[:count]
         return [self.keyframes[i] for i in order if apart[i] < 0.8]
 

@@ -2,35 +2,66 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
+import torch
 
 from .bundle_adjustment import Observations
-from .local_features import LocalFeatures
 
 NONE = -1
 
 
 @dataclass
 class Sighting:
-    """What one frame saw. landmark (N,) int64 for each feature, NONE where it belongs to none; depths and sigmas_m
-    (N, S) metres by sensor, depth 0 = no reading; `pose` the current estimate of T_world_camera."""
+    """The features of one frame. `pose` is the present estimate of T_world_camera (4, 4); per feature:
+
+    uv (N, 2) and sigma_px (N,) pixels; depths and sigmas_m (N, S) metres by sensor, depth 0 = no reading;
+    edges (N, S) metres, how much depth differs between the pixels around; noise (N, S, F) what h_w sees there, so that
+    sigmas can be had again from what was learned since;
+    landmark (N,) int64, NONE where the feature belongs to none.
+    """
 
     index: int
     pose: np.ndarray
-    features: LocalFeatures
+    uv: np.ndarray
+    sigma_px: np.ndarray
     depths: np.ndarray
     sigmas_m: np.ndarray
+    edges: np.ndarray
+    noise: np.ndarray
     landmark: np.ndarray
-    noise_features: np.ndarray | None = None  # (N, S, F), so that sigmas can be had again from what was learned since
+
+    def __len__(self) -> int:
+        return len(self.uv)
 
     def mean_depth(self) -> tuple[np.ndarray, np.ndarray]:
         """(N,) mean of the readings of all sensors by their certainty, 0 = none, and its (N,) sigma; metres."""
         weight = np.where(self.depths > 0, 1 / np.maximum(self.sigmas_m, 1e-4) ** 2, 0.0)
         total = weight.sum(1)
-        depth = (weight * self.depths).sum(1) / np.maximum(total, 1e-12)
-        return depth, 1 / np.sqrt(np.maximum(total, 1e-12))
+        return (weight * self.depths).sum(1) / np.maximum(total, 1e-12), 1 / np.sqrt(np.maximum(total, 1e-12))
+
+    def forget_unmatched(self) -> None:
+        """Keep only the features of landmarks."""
+        kept = self.landmark >= 0
+        for name in ("uv", "sigma_px", "depths", "sigmas_m", "edges", "noise", "landmark"):
+            setattr(self, name, getattr(self, name)[kept])
+
+    def observations(self, rows: np.ndarray, points: np.ndarray, camera: int = 0) -> Observations:
+        """Features `rows` (K,) as observations of `points` (K,) by `camera`."""
+        return Observations(
+            np.full(len(rows), camera), points, self.uv[rows], self.sigma_px[rows], self.depths[rows],
+            self.sigmas_m[rows],
+        )  # fmt: skip
+
+    def to_state(self) -> dict[str, Any]:
+        """Plain tensors and numbers."""
+        return {n: torch.from_numpy(v) if isinstance(v, np.ndarray) else v for n, v in vars(self).items()}
+
+    @staticmethod
+    def from_state(state: dict[str, Any]) -> Sighting:
+        return Sighting(**{n: v.numpy() if isinstance(v, torch.Tensor) else v for n, v in state.items()})
 
 
 class Landmarks:
@@ -39,7 +70,7 @@ class Landmarks:
     def __init__(self) -> None:
         self.points = np.zeros((0, 3))
         self.descriptors = np.zeros((0, 128), np.float32)
-        self._alias = np.zeros(0, np.int64)
+        self.alias = np.zeros(0, np.int64)
 
     def __len__(self) -> int:
         return len(self.points)
@@ -49,48 +80,38 @@ class Landmarks:
         numbers = np.arange(len(self), len(self) + len(points))
         self.points = np.concatenate([self.points, points])
         self.descriptors = np.concatenate([self.descriptors, descriptors])
-        self._alias = np.concatenate([self._alias, numbers])
+        self.alias = np.concatenate([self.alias, numbers])
         return numbers
 
     def merge(self, gone: np.ndarray, kept: np.ndarray) -> None:
         """Landmarks `gone` (N,) are the same points as `kept` (N,)."""
-        for source, target in zip(self.current(gone), self.current(kept), strict=True):
-            self._alias[self._alias == source] = target
+        for source, target in zip(gone, kept, strict=True):
+            self.alias[self.alias == self.alias[source]] = self.alias[target]
 
     def current(self, numbers: np.ndarray) -> np.ndarray:
         """The numbers under which `numbers` live on; NONE stays."""
-        return np.where(numbers >= 0, self._alias[numbers], NONE) if len(self) else numbers
+        return np.where(numbers >= 0, self.alias[numbers], NONE) if len(self) else numbers
+
+    def seen_by(self, sighting: Sighting) -> np.ndarray:
+        """Numbers (K,) of the landmarks of a frame, distinct, increasing."""
+        current = self.current(sighting.landmark)
+        return np.unique(current[current >= 0])
 
 
 def observations_of(sightings: list[Sighting], landmarks: Landmarks) -> tuple[Observations, np.ndarray]:
     """Observations of those frames, cameras numbered as in the list and points 0..P; and the landmark (P,) of each."""
-    cameras, numbers, parts = [], [], []
+    parts = []
     for position, sighting in enumerate(sightings):
         number = landmarks.current(sighting.landmark)
-        seen = np.flatnonzero(number >= 0)
-        _, first = np.unique(number[seen], return_index=True)  # a point is seen once in an image
-        seen = seen[first]
-        cameras.append(np.full(len(seen), position))
-        numbers.append(number[seen])
-        parts.append((sighting, seen))
-    used, points = np.unique(np.concatenate(numbers), return_inverse=True)
-    return (
-        Observations(
-            np.concatenate(cameras),
-            points,
-            np.concatenate([s.features.uv[k] for s, k in parts]),
-            np.concatenate([s.features.sigma_px[k] for s, k in parts]),
-            np.concatenate([s.depths[k] for s, k in parts]),
-            np.concatenate([s.sigmas_m[k] for s, k in parts]),
-        ),
-        used,
-    )
+        _, first = np.unique(number, return_index=True)  # a point is seen once in an image
+        rows = first[number[first] >= 0]
+        parts.append(sighting.observations(rows, number[rows], position))
+    columns = [np.concatenate([getattr(p, name) for p in parts]) for name in Observations.__dataclass_fields__]
+    joined = Observations(*columns)
+    numbers, points = np.unique(joined.point, return_inverse=True)
+    return joined.with_points(points), numbers
 
 
 def seen_at_least(observations: Observations, times: int) -> np.ndarray:
     """(M,) which observations are of a point that `times` cameras saw."""
-    return np.bincount(observations.point)[observations.point] >= times
-
-
-def with_sigmas(sighting: Sighting, sigmas_m: np.ndarray) -> Sighting:
-    return replace(sighting, sigmas_m=sigmas_m)
+    return np.bincount(observations.point)[observations.point] >= times if len(observations) else np.zeros(0, bool)

@@ -37,16 +37,14 @@ def transform(poses: np.ndarray, points: np.ndarray) -> np.ndarray:
     return (poses[..., :3, :3] @ points[..., None])[..., 0] + poses[..., :3, 3]
 
 
+def angle(poses: np.ndarray) -> np.ndarray:
+    """How far rigid transforms (..., 4, 4) turn, (...) radians."""
+    return np.arccos(np.clip((np.trace(poses[..., :3, :3], axis1=-2, axis2=-1) - 1) / 2, -1, 1))
+
+
 def cross_matrix(vectors: np.ndarray) -> np.ndarray:
     """(..., 3) -> (..., 3, 3), so that cross_matrix(a) @ b = a x b."""
     x, y, z = np.moveaxis(vectors, -1, 0)
     zero = np.zeros_like(x)
     rows = [np.stack(row, -1) for row in ((zero, -z, y), (z, zero, -x), (-y, x, zero))]
     return np.stack(rows, -2)
-
-
-def orthonormal(pose: np.ndarray) -> np.ndarray:
-    """`pose` (4, 4) with its rotation made exactly orthonormal again."""
-    result = pose.copy()
-    result[:3, :3] = Rotation.from_matrix(pose[:3, :3]).as_matrix()
-    return result

@@ -1,0 +1,102 @@
+"""What the tracker takes from a frame: depth and its certainty at the features, and readings for the surface."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import cv2
+import numpy as np
+import torch
+from torch import Tensor
+
+from ..camera import Camera
+from ..config import TrackingConfig
+from ..frame import Frame
+from ..uncertainty import NoiseModel
+from .landmarks import NONE, Sighting
+from .local_features import LocalFeatures
+from .surface_alignment import Readings
+
+EDGE_SHARE = 0.5  # of the spread of depth around a feature that adds to its sigma
+UNTAUGHT = (0.005, 0.01)  # beta before a sensor is known: a + b depth^2, metres; between a Kinect and a stereo matcher
+_GREY = torch.tensor([0.299, 0.587, 0.114]) / 255
+
+
+def sight(
+    frame: Frame,
+    features: LocalFeatures,
+    noise_features: dict[str, Tensor],
+    noise: Sequence[NoiseModel | None],
+    camera: Camera,
+) -> Sighting:
+    """The features with the depth readings of all sensors there. The pose is not known yet."""
+    limit = [camera.width - 1, camera.height - 1]
+    u, v = np.clip(np.rint(features.uv), 0, limit).astype(np.int64).T
+    depths, edges, inputs = [], [], []
+    for sensor, image in frame.depths.items():
+        depth = image.numpy()
+        depths.append(depth[v, u].astype(np.float64))
+        edges.append(_spread(depth)[v, u])
+        inputs.append(noise_features[sensor].numpy()[v, u] if sensor in noise_features else np.zeros((len(u), 0)))
+    sighting = Sighting(
+        frame.index, np.eye(4), features.uv, features.sigma_px, np.stack(depths, 1), np.zeros((len(u), len(depths))),
+        np.stack(edges, 1), np.stack(inputs, 1).astype(np.float32), np.full(len(u), NONE),
+    )  # fmt: skip
+    weigh(sighting, noise)
+    return sighting
+
+
+def weigh(sighting: Sighting, noise: Sequence[NoiseModel | None]) -> None:
+    """Set the sigmas of the depths by what the models of the sensors know now.
+
+    A Laplace scale beta is a standard deviation of sqrt(2) beta; a feature beside a depth edge may lie on either side.
+    """
+    for column, model in enumerate(noise):
+        depth = torch.from_numpy(sighting.depths[:, column]).float()
+        beta = _beta(depth, torch.from_numpy(sighting.noise[:, column]), model).numpy()
+        sighting.sigmas_m[:, column] = np.hypot(math.sqrt(2) * beta, EDGE_SHARE * sighting.edges[:, column])
+
+
+def readings_of(
+    frame: Frame,
+    noise_features: dict[str, Tensor],
+    noise: Sequence[NoiseModel | None],
+    camera: Camera,
+    config: TrackingConfig,
+    max_depth_m: float,
+) -> Readings:
+    """About `config.readings` depth readings of each sensor, on a regular grid of pixels."""
+    stride = max(1, round(math.sqrt(camera.width * camera.height / config.readings)))
+    grid = (slice(stride // 2, None, stride), slice(stride // 2, None, stride))
+    rays, points, betas = camera.rays()[grid], [], []
+    grey = cv2.blur(frame.color.numpy(), (5, 5)) if config.color else None  # about what a voxel averages
+    shades = []
+    for (sensor, image), model in zip(frame.depths.items(), noise, strict=True):
+        depth = image[grid]
+        valid = (depth > 0) & (depth < max_depth_m)
+        inputs = noise_features[sensor][grid][valid] if sensor in noise_features else torch.zeros(0)
+        points.append(rays[valid] * depth[valid, None])
+        betas.append(_beta(depth[valid], inputs, model))
+        if grey is not None:
+            shades.append(torch.from_numpy(grey[grid]).float()[valid] @ _GREY)
+    joined = torch.cat(points)
+    directions = joined / joined[:, 2:].clamp(min=1e-6)
+    return Readings(joined, directions, torch.cat(betas), torch.cat(shades) if shades else None)
+
+
+@torch.no_grad()
+def _beta(depth: Tensor, inputs: Tensor, model: NoiseModel | None) -> Tensor:
+    """depth (N,) metres and inputs (N, F) -> beta (N,) metres."""
+    if model is None or not model.taught:
+        return UNTAUGHT[0] + UNTAUGHT[1] * depth**2
+    device = next(model.parameters()).device
+    return model(inputs.to(device)).cpu()
+
+
+def _spread(depth: np.ndarray) -> np.ndarray:
+    """(H, W) metres -> difference of the largest and the smallest reading around each pixel."""
+    ones = np.ones((3, 3), np.uint8)
+    largest = cv2.dilate(depth, ones)
+    smallest = cv2.erode(np.where(depth > 0, depth, np.float32(np.inf)), ones)
+    return np.where(depth > 0, largest - smallest, np.float32(0.0))

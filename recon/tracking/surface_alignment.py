@@ -1,0 +1,105 @@
+"""A frame against the surface and the colour of the map: what the tracking loss of the paper asks, solved directly.
+
+Every reading, moved by the pose, should lie on the zero level of the fused distances (which is point-to-plane with the
+gradient as the plane's normal) and show the colour that the map has there. Each residual is divided by what is expected of
+it: the learned beta of the reading and the map's own sigma (paper: |D - D'| / (S + beta)).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from ..fusion import FusionVolume
+from ..grid import CORNERS
+from .pose_estimation import Linearised, Term
+
+SHARE = 0.05  # how much of its information a residual counts: neighbours share most of their error
+COLOR_SIGMA = 0.08  # of 0..1: what colours of the map and of a frame differ by
+ROBUST_SCALE = 2.0  # sigmas
+
+
+@dataclass(frozen=True)
+class Readings:
+    """Depth readings of a frame: points (N, 3) in camera axes, metres; directions (N, 3) with z = 1; beta (N,) metres;
+    grey (N,) 0..1, or None if colour is not used."""
+
+    points: Tensor
+    directions: Tensor
+    beta: Tensor
+    grey: Tensor | None
+
+    def __len__(self) -> int:
+        return len(self.points)
+
+
+def surface_term(volume: FusionVolume, readings: Readings, share: float = SHARE, scale: float = ROBUST_SCALE) -> Term:
+    """The term of `readings` in the sum that `minimise` takes."""
+
+    def linearise(pose: np.ndarray) -> Linearised:
+        r, jacobian = surface_residuals(volume, readings, pose)
+        ratio = (r / scale) ** 2
+        cost = share * scale**2 * float(torch.log1p(ratio).sum())
+        # A reading off the map costs as much as one far from the surface: leaving the map must not pay.
+        channels = 1 if readings.grey is None else 2
+        cost += share * scale**2 * 3.0 * (channels * len(readings) - len(r))
+        weighted = jacobian * (share / (1 + ratio))[:, None]
+        information, gradient = weighted.T @ jacobian, weighted.T @ r
+        return Linearised(cost, information.double().cpu().numpy(), gradient.double().cpu().numpy())
+
+    return linearise
+
+
+def surface_residuals(volume: FusionVolume, readings: Readings, pose: np.ndarray) -> tuple[Tensor, Tensor]:
+    """Whitened residuals (K,) of distance, then of colour, where the map is known, and their derivatives (K, 6)."""
+    T = torch.tensor(pose, dtype=torch.float32, device=readings.points.device)
+    world = readings.points @ T[:3, :3].T + T[:3, 3]
+    rows, weights, slopes, kept = _known_cells(volume, world)
+    points = readings.points[kept]
+    sums = volume.sums[rows]
+    sdf, gradient = _interpolated(sums[..., 1] / sums[..., 0], weights, slopes)
+    along = (gradient * (readings.directions[kept] @ T[:3, :3].T)).sum(-1)
+    map_sigma = (volume.sigma(rows) * weights).sum(-1)
+    sigma = (2 * (readings.beta[kept] * along) ** 2 + map_sigma**2).sqrt()
+    residuals, slopes_world = [sdf / sigma], [gradient / sigma[:, None]]
+    if readings.grey is not None:
+        value, change = _interpolated(volume.colors(rows).mean(-1), weights, slopes)
+        off = value - readings.grey[kept]
+        residuals.append((off - off.median() if len(off) else off) / COLOR_SIGMA)  # exposure changes
+        slopes_world.append(change / COLOR_SIGMA)
+        points = torch.cat([points, points])
+    d_camera = torch.cat(slopes_world) @ T[:3, :3]
+    return torch.cat(residuals), torch.cat([d_camera, torch.linalg.cross(points, d_camera)], 1)
+
+
+def agreement(volume: FusionVolume, readings: Readings, pose: np.ndarray) -> tuple[float, float]:
+    """Share of the readings that lie where the map is known, and the share of those within 3 sigma of the surface."""
+    if len(readings) == 0:
+        return 0.0, 0.0
+    depth_only = Readings(readings.points, readings.directions, readings.beta, None)
+    r, _ = surface_residuals(volume, depth_only, pose)
+    return len(r) / len(readings), float((r.abs() < 3).float().mean()) if len(r) else 0.0
+
+
+def _known_cells(volume: FusionVolume, world: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+    """For the points (N, 3) in cells that are known: rows and weights (K, 8), slopes (K, 8, 3) of the weights, and which
+    (K,) they are."""
+    rows, weights = volume.grid.trilinear(world)
+    known = (rows >= 0) & (volume.sums[rows.clamp(min=0), 3] >= 1)
+    kept = known.all(1).nonzero()[:, 0]
+    corners = CORNERS.to(world.device)
+    part = world[kept] / volume.grid.voxel_size_m
+    part = part - part.floor()
+    along = torch.where(corners.bool(), part[:, None], 1 - part[:, None])  # (K, 8, 3)
+    sign = (2.0 * corners - 1) / volume.grid.voxel_size_m
+    x, y, z = along.unbind(-1)
+    slopes = torch.stack([y * z, x * z, x * y], -1) * sign
+    return rows[kept], weights[kept], slopes, kept
+
+
+def _interpolated(values: Tensor, weights: Tensor, slopes: Tensor) -> tuple[Tensor, Tensor]:
+    """values (K, 8) at the corners -> value (K,) and gradient (K, 3)."""
+    return (values * weights).sum(-1), (values[..., None] * slopes).sum(1)
