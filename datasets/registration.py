@@ -56,12 +56,12 @@ def filled_inverse_depth(depth: np.ndarray) -> np.ndarray:
     known = depth > 0
     if not known.any():
         return np.full(depth.shape, np.float32(1 / TYPICAL_DEPTH_M))
-    inverse = np.divide(np.float32(1), depth, out=np.full(depth.shape, np.float32(np.inf)), where=known)
-    if known.all():
-        return inverse
-    columns = np.arange(depth.shape[1], dtype=np.int32)
-    left = np.maximum.accumulate(np.where(known, columns, 0), axis=1)
-    right = np.minimum.accumulate(np.where(known, columns, columns[-1])[:, ::-1], axis=1)[:, ::-1]
-    filled = np.minimum(np.take_along_axis(inverse, left, 1), np.take_along_axis(inverse, right, 1))
-    filled[np.isinf(filled)] = inverse[known].mean()
-    return filled
+    with np.errstate(divide="ignore"):
+        inverse = np.float32(1) / depth
+    holes, readings = np.flatnonzero(~known), np.flatnonzero(known)
+    after = np.searchsorted(readings, holes)
+    neighbours = readings[np.clip([after - 1, after], 0, len(readings) - 1)]  # (2, number of holes)
+    same_row = neighbours // depth.shape[1] == holes // depth.shape[1]
+    farther = np.where(same_row, inverse.flat[neighbours], np.inf).min(axis=0)
+    inverse.flat[holes] = np.where(np.isinf(farther), inverse[known].mean(), farther)
+    return inverse

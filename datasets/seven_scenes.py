@@ -48,7 +48,8 @@ def read(path: Path) -> FileRecording:
     ]
     assumed = ()
     if calibration is KINECT:
-        assumed = (f"colour is registered to depth by a typical calibration of this data set ({CAMERA_FILE}: another)",)
+        what = "colour is registered to depth by a typical calibration of this data set"
+        assumed = (f"{what}; a {CAMERA_FILE} states another",)
     elif calibration.color_camera is None:
         assumed = (f"colour is taken as registered to depth, as {CAMERA_FILE} names no color_camera",)
     sensors = ("depth",) if any(entry.depths for entry in entries) else ()
