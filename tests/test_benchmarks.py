@@ -1,13 +1,21 @@
-"""The sums behind the benchmark tables."""
+"""The sums behind the benchmark tables, and Open3D's dense SLAM on a made room."""
 
-import importlib.util
+import importlib
+import json
+import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
+import torch
+from uncle.datasets import senfunet
+from uncle.datasets.synth.write import make_dataset
+from uncle.recon.frame import Frame
+from uncle.recon.tracking_record import TrackedFrame, TrackingRecord
+from uncle.recon.trajectory import Trajectory
 
-SPEC = importlib.util.spec_from_file_location("chain", Path(__file__).parents[1] / "benchmarks" / "chain.py")
-chain = importlib.util.module_from_spec(SPEC)
-SPEC.loader.exec_module(chain)
+sys.path.insert(0, str(Path(__file__).parents[1] / "benchmarks"))  # the programs import each other by their bare names
+common, chain, tracking, open3d_slam = map(importlib.import_module, ("common", "chain", "tracking", "open3d_slam"))
 
 
 def record(method="uncle", seed=0, wall_s=1.0, session="a", hold_out=0, **scores):
@@ -51,16 +59,16 @@ def test_scores_of_a_run_without_any_truth():
 
 def test_cell_is_the_median_of_those_that_were_scored():
     records = [record(f=0.9), record(f=0.5), record(f=0.6), record(), record(f=None)]
-    assert chain.cell(records, "f", 100, 1, True) == "60.0 [50.0, 90.0]"
-    assert chain.cell(records, "f", 100, 1, False) == "60.0"
-    assert chain.cell(records, "g", 100, 1, True) == "-"
+    assert common.cell(records, "f", 100, 1, True) == "60.0 [50.0, 90.0]"
+    assert common.cell(records, "f", 100, 1, False) == "60.0"
+    assert common.cell(records, "g", 100, 1, True) == "-"
 
 
-def test_time_ratio_divides_medians_of_the_same_session():
+def test_ratio_divides_medians_of_the_same_session():
     ours = [record(wall_s=s) for s in (30.0, 40.0, 90.0)] + [record(wall_s=1000.0, session="later")]
     baseline = [record("tsdf", wall_s=s) for s in (10.0, 20.0, 99.0)] + [record("tsdf", wall_s=1.0, session="earlier")]
-    assert chain.time_ratio(ours, baseline) == "2.00"
-    assert chain.time_ratio(ours[3:], baseline) == "-"
+    assert common.ratio(ours, baseline, "wall_s") == "2.00"
+    assert common.ratio(ours[3:], baseline, "wall_s") == "-"
 
 
 def test_markdown_has_a_row_per_method_and_leaves_empty_columns_out():
@@ -78,3 +86,131 @@ def test_markdown_has_a_row_per_method_and_leaves_empty_columns_out():
         "| room | sl | uncle | sl | 2 | 0.250 [0.250, 0.250] | 0.250 | 0.250 | 25.0 | 25.0 |"
     )
     assert len(sensors.splitlines()) == 3
+
+
+# --- results that survive an interruption ----------------------------------------------------------------------------
+def test_what_is_done_is_kept_and_what_failed_is_tried_again(tmp_path):
+    jobs, path, calls = chain.plan("room", ["sl"], ["uncle"], 3, 0), tmp_path / "results.json", []
+
+    def execute(job):
+        calls.append(job.seed)
+        if len(calls) == 2:
+            raise RuntimeError("no surface")
+        return {"seed": job.seed}
+
+    def is_done(job, record):
+        return job.seed != 2 or len(calls) > 4
+
+    records, failed = common.carry_out(jobs, path, execute, is_done)
+    assert failed == {jobs[1].key: "no surface"}
+    assert set(records) == {jobs[0].key, jobs[2].key} == set(json.loads(path.read_text()))
+    records, failed = common.carry_out(jobs, path, execute, is_done)
+    assert (calls, failed, len(records)) == ([0, 1, 2, 1, 2], {}, 3)  # a record that says too little is made again
+    assert common.carry_out(jobs, path, execute, is_done)[0] == json.loads(path.read_text())
+    assert len(calls) == 5
+
+
+# --- tracking --------------------------------------------------------------------------------------------------------
+def tracked(system="uncle", seed=0, ate_m=0.01, session="a", frames_per_s=2.0, voxel_m=0.0, **more):
+    job = tracking.Job("room", "0:9", "sl", system, voxel_m, seed)
+    costs = {"wall_s": 10.0, "seconds": {"tracking": 2.0, "sweep 1": 3.0, "sweep 2": 1.0}, "session": session}
+    costs |= {"frames_per_s": frames_per_s, "loop_frames_per_s": 2 * frames_per_s, "used_voxel_m": voxel_m or 0.02}
+    return job._asdict() | costs | {"ate_m": ate_m} | more
+
+
+def test_systems_take_turns_and_open3d_has_every_voxel_size():
+    jobs = tracking.plan("room", "", ["sl"], ["uncle", "open3d", "given"], [0.01, 0.02], 5)
+    turns = [[(job.system, job.voxel_m) for job in jobs if job.seed == seed] for seed in range(5)]
+    every = [("uncle", 0.0), ("open3d", 0.01), ("open3d", 0.02), ("given", 0.0)]
+    assert turns == [every] * tracking.REPETITIONS + [[("uncle", 0.0)]] * 2
+    assert len({job.key for job in jobs}) == len(jobs)
+
+
+def test_errors_are_those_of_the_frames_that_have_a_pose(tmp_path):
+    true = np.tile(np.eye(4), (5, 1, 1))
+    true[:, 0, 3] = np.arange(5) * 0.1
+    moved = true.copy()
+    moved[:, 1, 3] += 0.03
+    Trajectory(np.arange(5.0), true).save(tmp_path / "trajectory_gt.txt")
+    assert tracking.errors(tmp_path, 5) == {"posed": 0.0}
+    Trajectory(np.arange(5.0)[:4], moved[:4]).save(tmp_path / "trajectory.txt")
+    states = ["tracked", "weak", "relocalised", "tracked", "lost"]
+    frames = (TrackedFrame(index=i, timestamp=i, status=state) for i, state in enumerate(states))
+    TrackingRecord(frames=tuple(frames)).save(tmp_path / "tracking.json")
+    found = tracking.errors(tmp_path, 5)
+    assert found.pop("ate_m") == pytest.approx(0.03)
+    assert [found.pop(key) for key in ("tracked", "weak", "lost")] == [3, 1, 1]
+    assert found.pop("posed") == 0.8
+    assert all(abs(value) < 1e-6 for value in found.values())
+    assert set(found) == {"ate_aligned_m", "rpe_translation_m", "rpe_rotation_rad", "rpe_max_m"}
+
+
+def test_worst_is_the_largest_over_the_median():
+    records = [tracked(ate_m=ate_m) for ate_m in (0.01, 0.03, 0.02)] + [tracked(ate_m=None)]
+    assert tracking.worst(records, "ate_m") == "1.50"
+    assert tracking.worst(records[:1], "ate_m") == "-"
+    assert tracking.worst([tracked(ate_m=1e-9), tracked(ate_m=2e-9)], "ate_m") == "-"  # given poses
+
+
+def test_shares_are_of_the_whole_process_and_sweeps_are_mapping():
+    assert tracking.shares([tracked()]) == "tracking 20, mapping 40, rest 40"
+
+
+def test_table_of_systems_compares_speed_with_the_first_open3d():
+    records = [tracked("open3d", voxel_m=voxel, frames_per_s=rate) for voxel, rate in ((0.01, 4.0), (0.02, 8.0))]
+    records += [tracked(seed=seed, ate_m=ate_m, lost=seed) for seed, ate_m in enumerate((0.01, 0.02, 0.04))]
+    rows = [line.strip("| ").split(" | ") for line in tracking.markdown(records).splitlines()]
+    by_heading = [dict(zip(rows[0], row, strict=True)) for row in rows[2:]]
+    assert [row["system"] + row["voxel cm"] for row in by_heading] == ["open3d1", "open3d2", "uncle2"]
+    assert [row["speed / open3d"] for row in by_heading] == ["1.00", "2.00", "0.50"]
+    assert by_heading[2]["ATE as it is cm"] == "2.00 [1.00, 4.00]"
+    assert by_heading[2]["worst / median"] == "2.00"
+    assert by_heading[2]["lost"] == "1 [0, 2]"
+    assert "F 5 cm %" not in rows[0]
+
+
+class Frames:
+    """Frames in memory, in the place of those of a run."""
+
+    def __init__(self, recording, without_depth):
+        self.frames, self.camera = [recording[i] for i in range(len(recording))], recording.camera
+        for i in without_depth:
+            frame, nothing = self.frames[i], {name: torch.zeros_like(d) for name, d in self.frames[i].depths.items()}
+            self.frames[i] = Frame(i, frame.timestamp, frame.color, nothing, frame.T_world_camera)
+
+    def __len__(self):
+        return len(self.frames)
+
+    def pose(self, index):
+        return self.frames[index].T_world_camera
+
+    def stream(self, indices, prepare):
+        return (prepare(self.frames[i]) for i in indices)
+
+
+@pytest.fixture(scope="module")
+def room(tmp_path_factory):
+    out = tmp_path_factory.mktemp("slam") / "room"
+    return senfunet.read(make_dataset(out, frames=6, size=256, seed=1, sensors=()))
+
+
+@pytest.mark.parametrize(
+    ("method", "without_depth"), [("open3d-hybrid", ()), *(("open3d", lost) for lost in ((), (3,), (0, 1), range(6)))]
+)
+def test_open3d_starts_at_the_given_pose_and_outlives_frames_without_depth(room, method, without_depth):
+    frames = Frames(room, without_depth)
+    out = open3d_slam.slam(frames, method, 0.01)
+    assert out.lost == list(without_depth)
+    np.testing.assert_allclose(out.poses[0], frames.pose(0))
+    if without_depth == (3,):
+        np.testing.assert_allclose(out.poses[3], out.poses[2])
+    if 0 not in without_depth:
+        off, moved = (np.linalg.norm(frames.pose(5)[:3, 3] - pose[:3, 3]) for pose in (out.poses[5], frames.pose(0)))
+        assert off < 0.35 * moved
+
+
+def test_open3d_gets_the_mean_of_the_readings_there_are():
+    depths = {"sl": torch.tensor([[1.0, 2.0, 0.0]]), "sgm": torch.tensor([[3.0, 0.0, 0.0]])}
+    depth, color = open3d_slam._images(Frame(0, 0.0, torch.zeros(1, 3, 3, dtype=torch.uint8), depths, None))
+    assert depth.as_tensor().numpy()[..., 0].tolist() == [[2000, 2000, 0]]
+    assert color.as_tensor().numpy().dtype == np.uint8

@@ -204,6 +204,27 @@ def test_loops_come_back_to_the_start(room):
         assert middle[start : start + 40].max() > 0.15 or turned[start : start + 40].max() > 20
 
 
+def test_a_long_path_with_loops_is_no_standing_still_and_does_not_jump_at_them(room):
+    free = FreeSpace.find(room.raycaster, *room.scene.bounds)
+    poses = handheld_path(free, 600, np.random.default_rng(7), loops=2)
+    steps = np.linalg.norm(np.diff(poses[:, :3, 3], axis=0), axis=1)
+    assert steps.sum() > 15
+    assert steps.max() <= MAX_STEP_M
+    assert turns_deg(poses).max() <= MAX_TURN_DEG
+    near = np.flatnonzero(np.linalg.norm(poses[:, :3, 3] - poses[0, :3, 3], axis=1) < 0.02)
+    assert {0, 300, 599} <= set(near)
+
+
+def test_loops_reach_the_written_poses(tmp_path):
+    out = make_dataset(tmp_path / "loop", frames=25, size=32, sensors=(), loops=2)
+    recording = senfunet.read(out)
+    home = recording.pose(0)
+    for stop in (12, 24):
+        assert np.linalg.norm(recording.pose(stop)[:3, 3] - home[:3, 3]) < 0.02
+        assert turns_deg(np.stack([home, recording.pose(stop)]))[0] < 2
+    assert max(np.linalg.norm(recording.pose(i)[:3, 3] - home[:3, 3]) for i in range(25)) > 0.04
+
+
 # --- true mesh -------------------------------------------------------------------------------------
 def test_subdivision_keeps_the_surface_and_bounds_the_edges():
     scene = furnished_room(0)
