@@ -15,6 +15,10 @@ from .options import SensorsCommand, device_option, overwrite_option, run_option
 @sensors_option("Sensors to use. Default: all but the ground truth.")
 @click.option("--method", type=click.Choice(["uncle", "tsdf"]), default="uncle", show_default=True,
               help="uncle: neural field with learned uncertainty; tsdf: plain Open3D fusion.")  # fmt: skip
+@click.option("--track", is_flag=True,
+              help="Estimate the camera of every frame; without it the poses are those of the data set.")  # fmt: skip
+@click.option("--color/--no-color", default=True, show_default=True,
+              help="Track by colour and depth, or by depth alone.")  # fmt: skip
 @click.option("--voxel", type=click.FloatRange(0.001, 0.5), default=None, metavar="METRES",
               help="Voxel size; short for --set fusion.voxel_size_m=METRES.")  # fmt: skip
 @click.option("--hold-out", type=click.IntRange(2), default=None, metavar="N",
@@ -26,13 +30,14 @@ from .options import SensorsCommand, device_option, overwrite_option, run_option
 @overwrite_option
 @click.pass_context
 def command(
-    ctx: click.Context, run_path: Path, sensors: tuple[str, ...], method: str, voxel: float | None,
-    hold_out: int | None, overrides: tuple[str, ...], seed: int, device: str, resume: bool, overwrite: bool,
+    ctx: click.Context, run_path: Path, sensors: tuple[str, ...], method: str, track: bool, color: bool,
+    voxel: float | None, hold_out: int | None, overrides: tuple[str, ...], seed: int, device: str, resume: bool,
+    overwrite: bool,
 ) -> None:  # fmt: skip
     """Reconstruct the scene and learn how far each sensor can be trusted.
 
     \b
-    uncle map --sensors sl psmnet
+    uncle map --sensors sl psmnet --track
     uncle map --method tsdf --set fusion.voxel_size_m=0.01
     """
     from ..recon.config import make_config
@@ -40,7 +45,10 @@ def command(
     from ..recon.map_stage import map_run
     from ..recon.run import RunDirectory
 
-    settings = list(overrides) + ([f"fusion.voxel_size_m={voxel}"] if voxel is not None else [])
+    if not color and not track:
+        raise click.UsageError("--no-color is about tracking; add --track")
+    settings = [f"tracking.enabled={str(track).lower()}", f"tracking.color={str(color).lower()}", *overrides]
+    settings += [f"fusion.voxel_size_m={voxel}"] if voxel is not None else []
     config = make_config(method, settings, sensors=sensors, seed=seed, device=device, hold_out=hold_out or 0)
     say = listener(ctx)
     summary = map_run(RunDirectory(run_path), config, resume=resume, overwrite=overwrite, on_event=say)

@@ -71,15 +71,21 @@ class FusionVolume:
         color: Tensor | None,
         T_world_camera: Tensor,
         doubt_m: Tensor | None = None,
+        take_out_of: int | None = None,
     ) -> None:
         """Add one depth image: depth (H, W) metres, weight (H, W) or None = 1, color (H, W, 3) uint8 or None.
+
+        With `take_out_of`, the number of blocks there were when the same image was added, it is taken out again.
 
         Every allocated block in view takes part, so that a reading also speaks for the free space before it. How
         loudly it does is its weight again, or, with `doubt_m` (H, W), what `free_space_weight` makes of it.
         """
         T_camera_world = torch.linalg.inv(T_world_camera.double()).float()
         typical = None if weight is None or doubt_m is None else _median(weight, depth > 0)
-        for ids in self._visible(depth, T_camera_world).split(_BLOCKS_AT_A_TIME):
+        sign, visible = 1.0, self._visible(depth, T_camera_world)
+        if take_out_of is not None:
+            sign, visible = -1.0, visible[visible < take_out_of]
+        for ids in visible.split(_BLOCKS_AT_A_TIME):
             rows, pixels, sdf = self._readings(ids, depth, T_camera_world)
             w = torch.ones_like(sdf) if weight is None else weight.view(-1)[pixels]
             if typical is not None:
@@ -87,11 +93,17 @@ class FusionVolume:
                 free = free_space_weight(w, typical, beyond, doubt_m.view(-1)[pixels])
                 w = torch.where(beyond >= 0, free, w)
             sdf = sdf.clamp(max=self.truncation_m)
-            self.sums[rows] += torch.stack([w, w * sdf, w * sdf * sdf, torch.ones_like(sdf)], -1)
+            self.sums[rows] += sign * torch.stack([w, w * sdf, w * sdf * sdf, torch.ones_like(sdf)], -1)
             if color is not None:
                 near = sdf.abs() < 0.5 * self.truncation_m
                 rows, w, rgb = rows[near], w[near, None], color.view(-1, 3)[pixels[near]].float()
-                self.color_sums[rows] += torch.cat([w, w * rgb], -1)
+                self.color_sums[rows] += sign * torch.cat([w, w * rgb], -1)
+
+    def clear_empty(self) -> None:
+        """Set samples that have no reading left, but for rounding, to exactly nothing."""
+        empty = self.sums[:, 3] < 0.5
+        self.sums[empty] = 0.0
+        self.color_sums[empty] = 0.0
 
     def sdf(self) -> Tensor:
         """(R,) mean signed distance in metres, 0 where there is no reading."""

@@ -57,11 +57,11 @@ def mean_depth(frame: Frame) -> Tensor:
 class RayStore:
     """Pixels of the keyframes with all that learning needs; of bounded size.
 
-    origins, directions (N, 3); depths (N, sensors) metres, 0 = no reading; colors (N, 3) uint8;
-    features (N, sensors, F) float16.
+    frames (N,) int64 indices; origins, directions (N, 3); depths (N, sensors) metres, 0 = no reading;
+    colors (N, 3) uint8; features (N, sensors, F) float16.
     """
 
-    FIELDS = ("origins", "directions", "depths", "colors", "features")
+    FIELDS = ("frames", "origins", "directions", "depths", "colors", "features")
 
     def __init__(self, capacity: int) -> None:
         self.capacity = capacity
@@ -81,3 +81,11 @@ class RayStore:
             kept = torch.randperm(len(rays["depths"]), generator=generator)[: self.capacity].sort().values
             rays = {name: rays[name][kept] for name in self.FIELDS}
         self.columns = rays
+
+    def move(self, motions: dict[int, Tensor]) -> None:
+        """The rays of frames follow their cameras: index -> T_new_old (4, 4), in world axes."""
+        for index, motion in motions.items():
+            mine = (self["frames"] == index).nonzero()[:, 0]
+            motion = motion.to(self["origins"])
+            self.columns["origins"][mine] = self["origins"][mine] @ motion[:3, :3].T + motion[:3, 3]
+            self.columns["directions"][mine] = self["directions"][mine] @ motion[:3, :3].T

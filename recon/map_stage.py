@@ -18,13 +18,15 @@ from torch import Tensor
 from .checkpoint import Checkpoint, load_tensors, save_tensors
 from .config import MapConfig, to_toml
 from .errors import ConfigError, DataError, RunError
-from .events import Note, OnEvent, Warn, ignore
+from .events import Note, OnEvent, Warn, ignore, track_progress
 from .field import NeuralField
-from .pipeline import choose_device, reconstruct
+from .frame import Frame
+from .pipeline import choose_device, choose_tracker, reconstruct
 from .recording import RunFrames
 from .run import Manifest, RunDirectory, config_hash
 from .storage import BETA_UNITS_PER_M, encode_metres, explain_write_errors, write_image, write_text
-from .tracking import GivenPoses
+from .tracking import GivenPoses, Tracker
+from .tracking_record import TrackingRecord
 from .trajectory import Trajectory
 from .tsdf import fuse_open3d
 
@@ -61,9 +63,13 @@ def map_run(
     _prepare(checkpoint, resume and not overwrite, on_event)
     torch.manual_seed(config.seed)
     started = time.time()
-    field, poses, facts = _reconstruct(run, frames, indices, config, checkpoint, on_event)
+    field, poses, tracking, facts = _reconstruct(run, frames, indices, config, checkpoint, on_event)
     save_tensors(run.field_path, field.to_state())
     _trajectory(frames, poses).save(run.trajectory_path)
+    if tracking is not None:
+        tracking.save(run.tracking_path)
+        facts["tracking"] = tracking.counts()
+        _report_lost(tracking, on_event)
     write_text(run.config_path, to_toml(config))
     facts |= {"method": config.method, "sensors": list(config.sensors), "seed": config.seed, "held_out": held_out}
     facts |= {"device": str(choose_device(config.device)), "frames": len(poses), "peak_memory_mb": peak_memory_mb()}
@@ -87,9 +93,15 @@ def choose_sensors(manifest: Manifest, wanted: tuple[str, ...]) -> tuple[str, ..
 
 
 def split_frames(frames: RunFrames, config: MapConfig, on_event: OnEvent = ignore) -> tuple[list[int], list[int]]:
-    """Indices to map, and those held out: every `config.hold_out`-th. Raises DataError if none has a pose."""
-    posed = [index for index in range(len(frames)) if frames.pose(index) is not None]
-    GivenPoses.check(bool(posed))
+    """Indices to map, and those held out: every `config.hold_out`-th.
+
+    Where poses are not tracked, frames need one. Raises DataError if none has.
+    """
+    if config.tracking.enabled:
+        posed = list(range(len(frames)))
+    else:
+        posed = [index for index in range(len(frames)) if frames.pose(index) is not None]
+        GivenPoses.check(bool(posed))
     if len(posed) < len(frames):
         on_event(Warn(f"{len(frames) - len(posed)} of {len(frames)} frames have no camera pose and are left out"))
     every = config.hold_out
@@ -113,13 +125,10 @@ def _prepare(checkpoint: Checkpoint, resume: bool, on_event: OnEvent) -> None:
         raise RunError("the interrupted map has other settings; give the same ones, or start over without --resume")
 
 
-def _reconstruct(run, frames, indices, config, checkpoint, on_event) -> tuple[NeuralField, dict[int, np.ndarray], dict]:
+def _reconstruct(run, frames, indices, config, checkpoint, on_event):
+    """Field, poses by frame index, tracking record or None, facts."""
     if config.method == "tsdf":
-        began = time.time()
-        field, poses = fuse_open3d(frames, indices, config, on_event)
-        _require_surface(field)
-        _drop_earlier_map(run)
-        return field, poses, {"seconds": {"fusion": round(time.time() - began, 2)}}
+        return _reconstruct_open3d(run, frames, indices, config, on_event)
 
     drop_earlier_map = functools.cache(lambda: _drop_earlier_map(run))
 
@@ -132,7 +141,42 @@ def _reconstruct(run, frames, indices, config, checkpoint, on_event) -> tuple[Ne
     drop_earlier_map()
     write_text(run.curves_path, json.dumps(_curves(made.curves)))
     seconds = {name: round(value, 2) for name, value in made.seconds.items()}
-    return made.field, made.poses, {"seconds": seconds, "keyframes": len(made.mapper.selector.T_camera_world)}
+    facts = {"seconds": seconds, "keyframes": len(made.mapper.selector.T_camera_world)}
+    return made.field, made.poses, made.tracking, facts
+
+
+def _reconstruct_open3d(run, frames, indices, config, on_event):
+    began = time.time()
+    tracker = choose_tracker(frames, indices, config, None)
+    poses = _track_alone(frames, indices, tracker, on_event) if config.tracking.enabled else None
+    tracked = time.time()
+    field, poses = fuse_open3d(frames, indices, config, on_event, poses)
+    _require_surface(field)
+    _drop_earlier_map(run)
+    seconds = {"tracking": round(tracked - began, 2)} if config.tracking.enabled else {}
+    return field, poses, tracker.record(), {"seconds": seconds | {"fusion": round(time.time() - tracked, 2)}}
+
+
+def _track_alone(frames: RunFrames, indices: list[int], tracker: Tracker, on_event: OnEvent) -> dict[int, np.ndarray]:
+    """Poses by frame index from the images alone, without a map."""
+
+    def prepare(frame: Frame) -> tuple[Frame, Any]:
+        return frame, tracker.prepare(frame, {s: frames.normals(frame.index, s) for s in frames.sensors})
+
+    for frame, prepared in track_progress(frames.stream(indices, prepare), len(indices), "tracking", on_event):
+        tracker.track(frame, prepared, {})
+    return tracker.finish()
+
+
+def _report_lost(tracking: TrackingRecord, on_event: OnEvent) -> None:
+    """One line on how many frames were lost and where."""
+    ranges = tracking.lost_ranges()
+    if ranges:
+        lost = tracking.counts()["lost"]
+        where = ", ".join(str(a) if a == b else f"{a} to {b}" for a, b in ranges[:5])
+        more = f" and {len(ranges) - 5} more stretches" if len(ranges) > 5 else ""
+        text = f"the camera was lost in {lost} of {len(tracking.frames)} frames, left out of the map: {where}{more}"
+        on_event(Warn(text))
 
 
 def _require_surface(field: NeuralField) -> None:
@@ -159,3 +203,4 @@ def _drop_earlier_map(run: RunDirectory) -> None:
     with explain_write_errors(run.root):
         shutil.rmtree(run.root / "beta", ignore_errors=True)
         run.curves_path.unlink(missing_ok=True)
+        run.tracking_path.unlink(missing_ok=True)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
+import numpy as np
 import torch
 from torch import Tensor
 
@@ -11,6 +12,7 @@ from .camera import Camera
 from .config import MapConfig
 from .frame import Frame
 from .fusion import FusionVolume
+from .fusion_log import FusionLog
 from .grid import SparseGrid
 from .keyframes import KeyframeSelector, RayStore
 from .noise_features import noise_features
@@ -37,6 +39,7 @@ class Mapper:
         self.noise = {s: NoiseModel(config.uncertainty, self.generator).to(device) for s in sensors}
         self.selector = KeyframeSelector(camera, config.keyframes)
         self.rays = RayStore(config.keyframes.max_rays)
+        self.log = FusionLog()  # used while poses can still change
 
     # --- one frame ---------------------------------------------------------------------------------------------
     def explore(self, frame: Frame, features: dict[str, Tensor], T_world_camera: Tensor) -> dict[str, Tensor]:
@@ -56,16 +59,43 @@ class Mapper:
 
     def fuse(self, frame: Frame, features: dict[str, Tensor], T_world_camera: Tensor) -> dict[str, Tensor]:
         """Fuse all sensors of a frame, each reading weighted by 1 / beta^2; returns beta (H, W) metres by sensor."""
+        if self.config.tracking.enabled:
+            self.log.note(frame.index, T_world_camera, self.noise, len(self.volume.grid.blocks))
+        return self._integrate(frame, features, T_world_camera, self.noise)
+
+    def refuse(self, frame: Frame, features: dict[str, Tensor], T_world_camera: Tensor) -> None:
+        """Take a frame out of the map, exactly as it was put in, and fuse it again from where the camera is now known
+        to be."""
+        entry = self.log.entries[frame.index]
+        self._integrate(frame, features, entry.T_world_camera, self.log.models(entry, self.noise), entry.blocks)
+        self.volume.clear_empty()
+        self.rays.move({frame.index: T_world_camera @ torch.linalg.inv(entry.T_world_camera)})
+        for depth in frame.depths.values():
+            self.volume.allocate(depth.to(self.device), T_world_camera)
+        self.fuse(frame, features, T_world_camera)
+
+    def _integrate(
+        self,
+        frame: Frame,
+        features: dict[str, Tensor],
+        T_world_camera: Tensor,
+        noise: dict[str, NoiseModel],
+        take_out_of: int | None = None,
+    ) -> dict[str, Tensor]:
         color = frame.color.to(self.device)
         betas = {}
         for sensor, depth in frame.depths.items():
             depth, weight, doubt_m = depth.to(self.device), None, None
             if self.config.uncertainty.enabled:
-                betas[sensor] = self.noise[sensor].beta_image(depth, features[sensor].to(self.device))
+                betas[sensor] = noise[sensor].beta_image(depth, features[sensor].to(self.device))
                 weight = _with_floor(self.weight(betas[sensor]), depth > 0)
                 doubt_m = DOUBT_BETAS * betas[sensor]
-            self.volume.integrate(depth, weight, color, T_world_camera, doubt_m)
+            self.volume.integrate(depth, weight, color, T_world_camera, doubt_m, take_out_of)
         return betas
+
+    def pose(self, T_world_camera: Any) -> Tensor:
+        """A (4, 4) matrix as the map takes it."""
+        return torch.as_tensor(np.asarray(T_world_camera), dtype=torch.float32, device=self.device)
 
     def weight(self, beta: Tensor) -> Tensor:
         """beta (...) metres -> (...) fusion weight: inverse variance of the reading on this map.
@@ -135,6 +165,7 @@ class Mapper:
         directions = self.camera.rays().view(-1, 3)[pixels] @ T_world_camera[:3, :3].cpu().T
         stacked = [image.view(-1, image.shape[-1])[pixels] for image in features.values()]
         rays = {
+            "frames": torch.full((len(pixels),), frame.index),
             "origins": T_world_camera[:3, 3].cpu().expand(len(pixels), 3),
             "directions": directions,
             "depths": depths[pixels],
@@ -153,6 +184,7 @@ class Mapper:
             "noise": {s: (m.state_dict(), m.optimizer.state_dict()) for s, m in self.noise.items()},
             "keyframes": self.selector.T_camera_world,
             "rays": self.rays.columns,
+            "log": self.log.state_dict(),
             "generator": self.generator.get_state(),
         }
 
@@ -165,6 +197,7 @@ class Mapper:
             self.noise[sensor].optimizer.load_state_dict(optimizer)
         self.selector.T_camera_world = list(state["keyframes"])
         self.rays.columns = {name: values.to(self.device) for name, values in state["rays"].items()}
+        self.log.load_state_dict(state["log"])
         self.generator.set_state(state["generator"].cpu())
 
 

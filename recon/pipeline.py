@@ -22,6 +22,8 @@ from .mapper import Mapper
 from .recording import RunFrames
 from .refine import refine
 from .tracking import GivenPoses, Tracker
+from .tracking.align import AlignTracker
+from .tracking_record import TrackingRecord
 
 # (frame index, sensor, beta (H, W) metres): called once for every mapped frame with the final noise models
 OnBeta = Callable[[int, str, Tensor], None]
@@ -40,21 +42,24 @@ class Progression:
 
 @dataclass(frozen=True)
 class View:
-    """A frame and, by sensor, the (H, W, F) features that its uncertainty is learned from."""
+    """A frame, by sensor the (H, W, F) features that its uncertainty is learned from, and what its tracker prepared."""
 
     frame: Frame
     features: dict[str, Tensor]
+    prepared: Any = None
 
 
 @dataclass(frozen=True)
 class Reconstruction:
-    """field, T_world_camera of each mapped frame, likelihood curves by name (nats), seconds by part."""
+    """field, T_world_camera of each mapped frame, likelihood curves by name (nats), seconds by part; how sure the poses
+    are, if they were tracked."""
 
     mapper: Mapper
     field: NeuralField
     poses: dict[int, np.ndarray]
     curves: dict[str, list[float]]
     seconds: dict[str, float]
+    tracking: TrackingRecord | None
 
 
 def reconstruct(
@@ -64,33 +69,41 @@ def reconstruct(
     checkpoint: Checkpoint,
     on_beta: OnBeta,
     on_event: OnEvent = ignore,
-    tracker: Tracker | None = None,
 ) -> Reconstruction:
     """Reconstruct `indices` of `frames`. Continues from `checkpoint` if it holds a state, with the same result.
 
-    The first sweep explores: track, map, record, frame by frame, learning the noise online. Each later sweep fuses all
-    frames again with the weights learned so far. At last the field is refined by rendering, and beta maps are written.
+    The first sweep explores: track, map, record, frame by frame, learning the noise online. Then the trajectory is
+    made consistent, and each later sweep fuses all frames again with poses and weights as known by then. At last the
+    field is refined by rendering, and beta maps are written.
     """
-    tracker = tracker or GivenPoses()
     mapper = Mapper(frames.camera, frames.sensors, config, choose_device(config.device))
-    progress = _restore(checkpoint, mapper, on_event)
-    for sweep in range(progress.sweep, 1 + config.fusion.sweeps):
-        for view in _sweep_views(frames, indices, sweep, mapper, progress, on_event):
-            with _timed(progress, f"sweep {sweep + 1}"):
-                _map_view(view, mapper, tracker, progress, explore=sweep == 0)
+    tracker = choose_tracker(frames, indices, config, mapper)
+    sweeps = max(config.fusion.sweeps, int(config.tracking.enabled))  # poses that moved need one more
+    progress = _restore(checkpoint, mapper, tracker, on_event)
+    for sweep in range(progress.sweep, 1 + sweeps):
+        for view in _sweep_views(frames, indices, sweep, mapper, tracker, progress, on_event):
+            if sweep == 0:
+                _explore(view, frames, mapper, tracker, progress)
+            else:
+                _fuse(view, mapper, progress)
             progress.position += 1
             if checkpoint.due():
-                _save(checkpoint, mapper, progress)
+                _save(checkpoint, mapper, tracker, progress)
         with _timed(progress, "learning"):
-            _end_sweep(mapper, progress, last=sweep == config.fusion.sweeps)
+            _end_sweep(mapper, progress, last=sweep == sweeps)
+        if sweep == 0:
+            with _timed(progress, "tracking"):
+                _settle(mapper, tracker, progress)
         progress.sweep, progress.position = sweep + 1, 0
-        _save(checkpoint, mapper, progress)
+        _save(checkpoint, mapper, tracker, progress)
     with _timed(progress, "refining"):
         result, losses = _refined_field(mapper, config, on_event)
     with _timed(progress, "beta maps"):
         _write_betas(frames, sorted(progress.poses), mapper, on_beta, on_event)
     poses = {index: np.array(matrix) for index, matrix in progress.poses.items()}
-    return Reconstruction(mapper, result, poses, {**progress.losses, "refinement": losses}, progress.seconds)
+    return Reconstruction(
+        mapper, result, poses, {**progress.losses, "refinement": losses}, progress.seconds, tracker.record()
+    )
 
 
 def choose_device(name: str) -> torch.device:
@@ -100,36 +113,84 @@ def choose_device(name: str) -> torch.device:
     return torch.device("cuda" if name != "cpu" and torch.cuda.is_available() else "cpu")
 
 
-def _map_view(view: View, mapper: Mapper, tracker: Tracker, progress: Progression, explore: bool) -> None:
+def choose_tracker(frames: RunFrames, indices: list[int], config: MapConfig, mapper: Mapper | None) -> Tracker:
+    """The tracker that `config` asks for; one without `mapper` has no map to look at."""
+    if not config.tracking.enabled:
+        return GivenPoses()
+    noise = [mapper.noise[s] if mapper else None for s in frames.sensors]
+    volume = mapper.volume if mapper else None
+    return AlignTracker(frames.camera, config.tracking, config.seed, frames.pose(indices[0]), noise, volume)
+
+
+def _explore(view: View, frames: RunFrames, mapper: Mapper, tracker: Tracker, progress: Progression) -> None:
     """Track, map, record."""
-    frame = view.frame
-    T_world_camera = tracker.track(frame) if explore else progress.poses.get(frame.index)
+    frame, tracking = view.frame, mapper.config.tracking
+    with _timed(progress, "tracking"):
+        T_world_camera = tracker.track(frame, view.prepared, view.features)
     if T_world_camera is None:
         return
+    with _timed(progress, "sweep 1"):
+        _follow(frames, mapper, tracker)
+        if not tracking.enabled or tracker.is_keyframe() or progress.position % tracking.explore_every == 0:
+            mapper.explore(frame, view.features, mapper.pose(T_world_camera))
     progress.poses[frame.index] = np.asarray(T_world_camera).tolist()
-    pose = torch.tensor(T_world_camera, dtype=torch.float32, device=mapper.device)
-    if explore:
-        mapper.explore(frame, view.features, pose)
-    else:
-        mapper.fuse(frame, view.features, pose)
 
 
-def _views(frames: RunFrames, indices: list[int], mapper: Mapper) -> Iterator[View]:
+def _follow(frames: RunFrames, mapper: Mapper, tracker: Tracker) -> None:
+    """Frames whose camera was moved by what was seen later, by a loop above all, are fused again from there."""
+    if not mapper.config.tracking.enabled:
+        return
+    poses = {index: mapper.pose(pose) for index, pose in tracker.poses().items()}
+    moved = mapper.log.moved(poses, mapper.config.fusion.voxel_size_m)
+    for view in _views(frames, moved, mapper) if moved else ():
+        mapper.refuse(view.frame, view.features, poses[view.frame.index])
+
+
+def _settle(mapper: Mapper, tracker: Tracker, progress: Progression) -> None:
+    """The final poses take the place of those that were recorded on the way; the rays of the learner move along."""
+    poses = tracker.finish()
+    before = {i: entry.T_world_camera for i, entry in mapper.log.entries.items()}
+    mapper.rays.move({i: mapper.pose(poses[i]) @ torch.linalg.inv(before[i]) for i in before if i in poses})
+    mapper.log.clear()
+    progress.poses |= {index: pose.tolist() for index, pose in poses.items()}
+
+
+def _fuse(view: View, mapper: Mapper, progress: Progression) -> None:
+    """Map again what was recorded."""
+    recorded = progress.poses.get(view.frame.index)
+    if recorded is None:
+        return
+    with _timed(progress, f"sweep {progress.sweep + 1}"):
+        pose = mapper.pose(recorded)
+        if mapper.config.tracking.enabled:
+            for depth in view.frame.depths.values():
+                mapper.volume.allocate(depth.to(mapper.device), pose)
+        mapper.fuse(view.frame, view.features, pose)
+
+
+def _views(frames: RunFrames, indices: list[int], mapper: Mapper, tracker: Tracker | None = None) -> Iterator[View]:
     """Frames with their features, both made in the background while the frame before is being mapped."""
 
     def prepare(frame: Frame) -> View:
         normals = {sensor: frames.normals(frame.index, sensor) for sensor in frames.sensors}
-        return View(frame, mapper.features(frame, normals))
+        return View(frame, mapper.features(frame, normals), tracker.prepare(frame, normals) if tracker else None)
 
     return frames.stream(indices, prepare)
 
 
 def _sweep_views(
-    frames: RunFrames, indices: list[int], sweep: int, mapper: Mapper, progress: Progression, on_event: OnEvent
+    frames: RunFrames,
+    indices: list[int],
+    sweep: int,
+    mapper: Mapper,
+    tracker: Tracker,
+    progress: Progression,
+    on_event: OnEvent,
 ) -> Iterator[View]:
     """What is left of a sweep, reported."""
-    stage = "mapping" if sweep == 0 else f"fusing again, sweep {sweep + 1}"
-    for view in _views(frames, indices[progress.position :], mapper):
+    explores = "tracking and mapping" if mapper.config.tracking.enabled else "mapping"
+    stage = explores if sweep == 0 else f"fusing again, sweep {sweep + 1}"
+    for view in _views(frames, indices[progress.position :], mapper, tracker if sweep == 0 else None):
         on_event(Progress(stage, progress.position, len(indices)))
         yield view
     on_event(Progress(stage, len(indices), len(indices)))
@@ -168,15 +229,18 @@ def _write_betas(frames: RunFrames, indices: list[int], mapper: Mapper, on_beta:
     on_event(Progress(stage, len(indices), len(indices)))
 
 
-def _save(checkpoint: Checkpoint, mapper: Mapper, progress: Progression) -> None:
-    checkpoint.save({"mapper": mapper.state_dict(), "progress": dict(vars(progress))})
+def _save(checkpoint: Checkpoint, mapper: Mapper, tracker: Tracker, progress: Progression) -> None:
+    checkpoint.save(
+        {"mapper": mapper.state_dict(), "tracker": tracker.state_dict(), "progress": dict(vars(progress))}
+    )  # fmt: skip
 
 
-def _restore(checkpoint: Checkpoint, mapper: Mapper, on_event: OnEvent) -> Progression:
+def _restore(checkpoint: Checkpoint, mapper: Mapper, tracker: Tracker, on_event: OnEvent) -> Progression:
     state: dict[str, Any] | None = checkpoint.load()
     if state is None:
         return Progression()
     mapper.load_state_dict(state["mapper"])
+    tracker.load_state_dict(state["tracker"])
     progress = Progression(**state["progress"])
     on_event(Note(f"continuing at sweep {progress.sweep + 1}, frame {progress.position}"))
     return progress

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Literal
+from typing import Literal, get_args
 
 from pydantic import BaseModel, ConfigDict, ValidationError
 
@@ -47,6 +47,10 @@ class TrackingRecord(BaseModel):
         except (OSError, ValidationError) as error:
             reason = error.errors()[0]["msg"] if isinstance(error, ValidationError) else error
             raise DataError(f"cannot read {path}: {reason}; redo it with `uncle map --track --overwrite`") from error
+
+    def counts(self) -> dict[str, int]:
+        """How many frames have each status."""
+        return {status: sum(f.status == status for f in self.frames) for status in get_args(Status)}
 
     def lost_ranges(self) -> list[tuple[int, int]]:
         """First and last index of each stretch of lost frames."""

@@ -11,16 +11,22 @@ from .events import OnEvent, Progress, ignore
 from .field import NeuralField
 from .grid import BLOCK, ROWS, SparseGrid
 from .recording import RunFrames
-from .tracking import GivenPoses
 
 _RESOLUTION = 16  # samples along the side of an Open3D block
 _START_BLOCKS = 3000  # grows as needed; each takes 80 kB
 
 
 def fuse_open3d(
-    frames: RunFrames, indices: list[int], config: MapConfig, on_event: OnEvent = ignore
+    frames: RunFrames,
+    indices: list[int],
+    config: MapConfig,
+    on_event: OnEvent = ignore,
+    tracked: dict[int, np.ndarray] | None = None,
 ) -> tuple[NeuralField, dict[int, np.ndarray]]:
-    """Fuse all sensors of `indices` with `VoxelBlockGrid.integrate`; returns map and T_world_camera by frame index."""
+    """Fuse all sensors of `indices` with `VoxelBlockGrid.integrate`; returns map and T_world_camera by frame index.
+
+    The poses are those `tracked`, by frame index, else those of the recording.
+    """
     import open3d as o3d
 
     device, float32 = o3d.core.Device("CPU:0"), o3d.core.float32
@@ -30,10 +36,10 @@ def fuse_open3d(
     )  # fmt: skip
     intrinsic = o3d.core.Tensor(_corner_matrix(frames.camera))
     reach, truncation = config.fusion.max_depth_m, config.fusion.truncation_voxels
-    tracker, poses = GivenPoses(), {}
+    poses = {}
     for done, frame in enumerate(frames.stream(indices, lambda frame: frame)):
         on_event(Progress("fusing", done, len(indices)))
-        T_world_camera = tracker.track(frame)
+        T_world_camera = frame.T_world_camera if tracked is None else tracked.get(frame.index)
         if T_world_camera is None:
             continue
         poses[frame.index] = T_world_camera

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
-from collections import Counter
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+
+from typing import Any
 
 import numpy as np
 import torch
@@ -17,16 +19,17 @@ from ..tracking_record import Status, TrackedFrame, TrackingRecord
 from ..uncertainty import NoiseModel
 from .keyframe_graph import KeyframeGraph
 from .landmarks import Sighting
-from .local_features import LocalFeatures, extract_features, match, match_near
+from .local_features import match, match_near
 from .motion import angle, inverse, motion_between, transform
-from .pose_estimation import MIN_INLIERS, Term, feature_term, minimise, prior_term, ransac_pose
-from .sightings import readings_of, sight, weigh
-from .surface_alignment import Readings, agreement, surface_term
+from .pose_estimation import MIN_INLIERS, feature_term, minimise, prior_term, ransac_pose
+from .sightings import Prepared, prepare, readings_of, sight, surface_view, weigh
+from .surface_alignment import Readings, agreement, scaled, surface_term
 
 SEARCH_PX = 10.0  # around where a landmark is expected
 AGREES = 4.0  # sigmas
 SURE_MATCHES = 30  # fewer are believed only near the expected pose
-MIN_READINGS = 500
+MIN_READINGS = 300
+JOINT_ITERATIONS = 3  # from where the features have it
 MIN_KNOWN, MIN_ON_SURFACE = 0.4, 0.6  # shares of the readings: below, the surface does not confirm a pose
 WEAK_M, WEAK_RAD = 0.02, 0.02  # 1 sigma of the direction that is known least
 _COARSE_SCALE = 6.0  # of the robust kernel in the first pass against the surface
@@ -69,30 +72,40 @@ class AlignTracker:
         self._lost = False
 
     # --- the protocol of a tracker -----------------------------------------------------------------------------
-    def prepare(self, frame: Frame) -> LocalFeatures:
-        """What can be made of a frame beforehand, in the background."""
-        return extract_features(frame.color.numpy(), self.config.features if self.config.color else 0)
+    def prepare(self, frame: Frame, normals: dict[str, torch.Tensor]) -> Prepared:
+        """What can be made of a frame beforehand, in the background; normals (H, W, 3) by sensor."""
+        return prepare(frame, normals, self.camera, self.config)
 
-    def track(
-        self, frame: Frame, features: LocalFeatures, noise_features: dict[str, torch.Tensor]
-    ) -> np.ndarray | None:
-        """T_world_camera (4, 4) of the next frame, None where it is lost. `noise_features` as the noise models take them."""
+    def track(self, frame: Frame, prepared: Prepared, noise_features: dict[str, torch.Tensor]) -> np.ndarray | None:
+        """T_world_camera (4, 4) of the next frame, None where it is lost.
+
+        `noise_features` (H, W, F) by sensor, as the noise models take them; nothing if the uncertainty is not learned.
+        """
+        features = prepared.features
         sighting = sight(frame, features, noise_features, self.noise, self.camera)
         readings = self._readings(frame, noise_features)
         if not self.graph.sightings:
-            return self._begin(frame, sighting, features, readings)
-        found, status = self._locate(sighting, features.descriptors, readings)
+            found, status = self._begun(sighting, readings)
+        else:
+            found, status = self._locate(sighting, features.descriptors, readings)
+        self._note(frame, status, 0 if found is None else len(found.rows))
         if found is None:
-            self._note(frame, "lost", 0)
             self._lost, self._velocity = True, np.eye(4)
             return None
+        steady = bool(self.graph.sightings) and not self._lost
+        self._velocity = inverse(self._last.pose) @ found.pose if steady else np.eye(4)
+        self._lost = False
         sighting.pose = found.pose
         sighting.landmark[found.rows] = found.numbers
-        self._velocity = np.eye(4) if self._lost else inverse(self._last.pose) @ found.pose
-        self._lost = False
-        self._note(frame, status, len(found.rows))
-        self.graph.add(sighting, features.descriptors, self._is_keyframe(sighting, len(found.rows)))
+        view = None
+        if self._is_keyframe(sighting, len(found.rows)):
+            view = surface_view(frame, prepared, noise_features, self.noise, self.camera, self._reach)
+        self.graph.add(sighting, features.descriptors, view)
         return self._last.pose
+
+    def is_keyframe(self) -> bool:
+        """Whether the frame tracked last became a keyframe."""
+        return bool(self.graph.keyframes) and self.graph.keyframes[-1] == len(self.graph.sightings) - 1
 
     def poses(self) -> dict[int, np.ndarray]:
         """T_world_camera (4, 4) of every frame that is not lost, by index, as known by now."""
@@ -114,7 +127,25 @@ class AlignTracker:
         ]
         return TrackingRecord(frames=tuple(frames))
 
+    def state_dict(self) -> dict[str, Any]:
+        """Plain tensors and containers that `load_state_dict` continues from."""
+        return {
+            "graph": self.graph.state_dict(),
+            "frames": [f.model_dump() for f in self.frames],
+            "velocity": torch.from_numpy(self._velocity),
+            "lost": self._lost,
+        }
+
+    def load_state_dict(self, state: dict[str, Any]) -> None:
+        self.graph.load_state_dict(state["graph"])
+        self.frames = [TrackedFrame.model_validate(row) for row in state["frames"]]
+        self._velocity, self._lost = state["velocity"].numpy(), state["lost"]
+
     # --- one frame ---------------------------------------------------------------------------------------------
+    @property
+    def _reach(self) -> float:
+        return math.inf if self.volume is None else self.volume.max_depth_m
+
     @property
     def _last(self) -> Sighting:
         return self.graph.sightings[-1]
@@ -123,22 +154,16 @@ class AlignTracker:
         """What is aligned with the surface; None where there is too little, or no map."""
         if self.volume is None or self.config.readings == 0:
             return None
-        reach = self.volume.max_depth_m
-        readings = readings_of(frame, noise_features, self.noise, self.camera, self.config, reach)
+        readings = readings_of(frame, noise_features, self.noise, self.camera, self.config, self._reach)
         return readings if len(readings) >= MIN_READINGS else None
 
-    def _begin(
-        self, frame: Frame, sighting: Sighting, features: LocalFeatures, readings: Readings | None
-    ) -> np.ndarray | None:
+    def _begun(self, sighting: Sighting, readings: Readings | None) -> tuple[_Found | None, Status]:
         """The first frame that shows anything defines the world."""
         anchors = int((sighting.mean_depth()[0] > 0).sum())
         if anchors < MIN_INLIERS and readings is None:
-            self._note(frame, "lost", 0)
-            return None
-        sighting.pose = self._first.copy()
-        self.graph.add(sighting, features.descriptors, as_keyframe=True)
-        self._note(frame, "tracked", 0, np.zeros((6, 6)))
-        return sighting.pose
+            return None, "lost"
+        nothing = np.zeros(0, np.int64)
+        return _Found(self._first, np.zeros((6, 6)), nothing, nothing), "tracked"
 
     def _locate(
         self, sighting: Sighting, descriptors: np.ndarray, readings: Readings | None
@@ -146,7 +171,7 @@ class AlignTracker:
         expected = self._last.pose @ self._velocity
         found = None if self._lost else self._by_features(sighting, descriptors, expected)
         if found is not None:
-            found = self._refined(found, sighting, [] if readings is None else [surface_term(self.volume, readings)])
+            found = self._refined(found, sighting, readings)
             return found, "weak" if _is_weak(found.information) else "tracked"
         if not self._lost and readings is not None:
             found = self._by_surface(readings, expected)
@@ -173,7 +198,7 @@ class AlignTracker:
         return found if len(found.rows) >= MIN_INLIERS else None
 
     def _agreeing(self, sighting: Sighting, pose: np.ndarray, rows: np.ndarray, numbers: np.ndarray) -> _Found:
-        """The pose from matches of features `rows` (K,) to landmarks `numbers` (K,), and the matches that agree with it."""
+        """The pose from matches of features `rows` (K,) to landmarks `numbers` (K,), and those that agree with it."""
         points = self.graph.landmarks.points
         for _ in range(2):
             term = feature_term(self.camera, points, sighting.observations(rows, numbers))
@@ -184,11 +209,13 @@ class AlignTracker:
             rows, numbers = rows[kept], numbers[kept]
         return _Found(pose, information, rows, numbers)
 
-    def _refined(self, found: _Found, sighting: Sighting, terms: list[Term]) -> _Found:
+    def _refined(self, found: _Found, sighting: Sighting, readings: Readings | None) -> _Found:
         """All that was seen together: features, surface and colour."""
         observations = sighting.observations(found.rows, found.numbers)
-        terms = [feature_term(self.camera, self.graph.landmarks.points, observations), *terms]
-        pose, information = minimise(found.pose, terms)
+        terms = [feature_term(self.camera, self.graph.landmarks.points, observations)]
+        if readings is not None:
+            terms.append(surface_term(self.volume, readings))
+        pose, information = minimise(found.pose, terms, JOINT_ITERATIONS)
         return _Found(pose, information, found.rows, found.numbers)
 
     def _by_surface(self, readings: Readings, expected: np.ndarray) -> _Found | None:
@@ -198,6 +225,7 @@ class AlignTracker:
         sigma_rad = max(_EXPECTED_RAD, float(np.linalg.norm(step[3:])))
         prior = prior_term(expected, np.diag([sigma_m**-2] * 3 + [sigma_rad**-2] * 3))
         pose, _ = minimise(expected, [surface_term(self.volume, readings, scale=_COARSE_SCALE), prior])
+        readings = scaled(self.volume, readings, pose)
         pose, information = minimise(pose, [surface_term(self.volume, readings), prior])
         known, on_surface = agreement(self.volume, readings, pose)
         if known < MIN_KNOWN or on_surface < MIN_ON_SURFACE:
@@ -212,6 +240,8 @@ class AlignTracker:
 
     def _is_keyframe(self, sighting: Sighting, matches: int) -> bool:
         """A frame that moved or lost sight of what is known, and can lend landmarks."""
+        if not self.graph.keyframes:
+            return True
         depth, _ = sighting.mean_depth()
         if (depth > 0).sum() < MIN_INLIERS:
             return False
@@ -222,12 +252,9 @@ class AlignTracker:
             matches < config.keyframe_matches or angle(step) > config.keyframe_turn_rad or shift > config.keyframe_shift
         )
 
-    def _note(self, frame: Frame, status: Status, matches: int, covariance: np.ndarray | None = None) -> None:
+    def _note(self, frame: Frame, status: Status, matches: int) -> None:
         self.frames.append(
-            TrackedFrame(
-                index=frame.index, timestamp=frame.timestamp, status=status, matches=matches,
-                covariance=None if covariance is None else covariance.tolist(),
-            )
+            TrackedFrame(index=frame.index, timestamp=frame.timestamp, status=status, matches=matches)
         )  # fmt: skip
 
     def _near(self, pose: np.ndarray, points: np.ndarray, uv: np.ndarray) -> np.ndarray:
@@ -240,11 +267,6 @@ class AlignTracker:
         """(N, 3) points in camera axes -> (N, 2) pixels; meaningless behind the camera."""
         focal, centre = np.array([self.camera.fx, self.camera.fy]), np.array([self.camera.cx, self.camera.cy])
         return focal * local[:, :2] / np.maximum(local[:, 2:], 1e-6) + centre
-
-
-def summary(record: TrackingRecord) -> Counter[str]:
-    """How many frames have each status."""
-    return Counter(frame.status for frame in record.frames)
 
 
 def _far(step: np.ndarray) -> bool:

@@ -2,8 +2,8 @@
 
 Minimises, over poses T_world_camera and points X, the robust sum of
   |uv - projection(X)|^2 / sigma_px^2    and, for each sensor,    (1/z - 1/depth)^2 / sigma_inverse^2,
-with sigma_inverse from the learned uncertainty of the reading: Gauss-Newton with Levenberg-Marquardt damping, the points
-eliminated by the Schur complement (Triggs et al. 2000).
+with sigma_inverse from the learned uncertainty of the reading, and of motions measured between pairs of frames:
+Gauss-Newton with Levenberg-Marquardt damping, the points eliminated by the Schur complement (Triggs et al. 2000).
 """
 
 from __future__ import annotations
@@ -15,7 +15,8 @@ from scipy import sparse
 from scipy.linalg import cho_factor, cho_solve
 
 from ..camera import Camera
-from .motion import cross_matrix, inverse, motion_between, moved, transform
+from .motion import cross_matrix, inverse, moved, transform
+from .pose_edges import PoseEdges, linearise_edges
 
 PIXEL_SCALE = 2.0  # residuals, in sigmas, beyond which an observation loses influence (Cauchy)
 DEPTH_SCALE = 2.0
@@ -63,6 +64,7 @@ class _Linearised:
     V: np.ndarray  # (P, 3, 3)
     g_point: np.ndarray  # (P, 3)
     W: np.ndarray  # (M, 6, 3)
+    across: np.ndarray | None  # (E, 6, 6)
 
 
 def adjust(
@@ -74,18 +76,15 @@ def adjust(
     *,
     free_points: bool = True,
     iterations: int = 10,
-    prior: tuple[np.ndarray, np.ndarray] | None = None,
+    edges: PoseEdges | None = None,
 ) -> Adjusted:
-    """Improve poses (C, 4, 4) where `free_poses` (C,) and, if `free_points`, points (P, 3). Nothing gets worse.
-
-    `prior`: (C, 4, 4) expected poses and (C, 6, 6) information of that expectation.
-    """
+    """Improve poses (C, 4, 4) where `free_poses` (C,) and, if `free_points`, points (P, 3). The cost never grows."""
     damping = 1e-4
-    now = _linearise(camera, poses, points, observations, prior)
+    now = _linearise(camera, poses, points, observations, edges)
     for _ in range(iterations):
-        step_poses, step_points = _solve(now, observations, free_poses, free_points, damping)
+        step_poses, step_points = _solve(now, observations, edges, free_poses, free_points, damping)
         new_poses, new_points = moved(poses, step_poses), points + step_points
-        then = _linearise(camera, new_poses, new_points, observations, prior)
+        then = _linearise(camera, new_poses, new_points, observations, edges)
         if not then.cost < now.cost:  # also where it is not a number
             damping *= 10
             if damping > 1e3:
@@ -100,17 +99,22 @@ def adjust(
 
 
 def covariances(
-    camera: Camera, poses: np.ndarray, points: np.ndarray, observations: Observations, free_poses: np.ndarray
+    camera: Camera,
+    poses: np.ndarray,
+    points: np.ndarray,
+    observations: Observations,
+    free_poses: np.ndarray,
+    edges: PoseEdges | None = None,
 ) -> np.ndarray:
     """Covariance (C, 6, 6) of each pose with all points and the other poses unknown; 0 for poses that are not free.
 
     The whitened residuals are taken to be as large as they are: their robust spread scales the result.
     """
-    system = _linearise(camera, poses, points, observations, None)
+    system = _linearise(camera, poses, points, observations, edges)
     free = np.flatnonzero(free_poses)
     damping = 1e-9
     S, _ = _reduced_system(
-        system, observations, free, _damped(system.U[free], damping), np.linalg.inv(_damped(system.V, damping))
+        system, observations, edges, free, _damped(system.U[free], damping), np.linalg.inv(_damped(system.V, damping))
     )
     r, _, _ = residuals(camera, poses[observations.camera], points[observations.point], observations)
     spread = 1.48 * np.median(np.abs(r[:, :2]))
@@ -163,7 +167,7 @@ def robust_weights(r: np.ndarray) -> tuple[np.ndarray, float]:
     return 1 / (1 + ratio), float(cost[:, 0].sum() + cost[:, 2:].sum())
 
 
-def _linearise(camera, poses, points, observations, prior) -> _Linearised:
+def _linearise(camera, poses, points, observations, edges) -> _Linearised:
     r, d_motion, d_point = residuals(camera, poses[observations.camera], points[observations.point], observations)
     weights, cost = robust_weights(r)
     weighted_motion, weighted_point = d_motion * weights[..., None], d_point * weights[..., None]
@@ -173,15 +177,14 @@ def _linearise(camera, poses, points, observations, prior) -> _Linearised:
     transposed_point = np.swapaxes(weighted_point, 1, 2)
     V = _sum_by(observations.point, transposed_point @ d_point, len(points))
     g_point = _sum_by(observations.point, (transposed_point @ r[..., None])[..., 0], len(points))
-    if prior is not None:
-        off = motion_between(prior[0], poses)
-        pull = (prior[1] @ off[..., None])[..., 0]
-        cost += float((off * pull).sum())
-        U, g_camera = U + prior[1], g_camera + pull
-    return _Linearised(cost, U, g_camera, V, g_point, transposed @ d_point)
+    across = None
+    if edges is not None:
+        measured = linearise_edges(poses, edges)
+        cost, U, g_camera, across = cost + measured.cost, U + measured.U, g_camera + measured.g, measured.across
+    return _Linearised(cost, U, g_camera, V, g_point, transposed @ d_point, across)
 
 
-def _solve(system: _Linearised, observations, free_poses, free_points, damping) -> tuple[np.ndarray, np.ndarray]:
+def _solve(system: _Linearised, observations, edges, free_poses, free_points, damping) -> tuple[np.ndarray, np.ndarray]:
     """Steps (C, 6) and (P, 3) of the damped normal equations."""
     step_poses, step_points = np.zeros_like(system.g_camera), np.zeros_like(system.g_point)
     free = np.flatnonzero(free_poses)
@@ -191,23 +194,23 @@ def _solve(system: _Linearised, observations, free_poses, free_points, damping) 
         return step_poses, step_points
     V_inverse = np.linalg.inv(_damped(system.V, damping))
     if len(free):
-        step_poses[free] = _reduced_step(system, observations, free, U, V_inverse)
+        step_poses[free] = _reduced_step(system, observations, edges, free, U, V_inverse)
     back = (np.swapaxes(system.W, 1, 2) @ step_poses[observations.camera][..., None])[..., 0]
     right = system.g_point + _sum_by(observations.point, back, len(system.V))
     step_points = -(V_inverse @ right[..., None])[..., 0]
     return step_poses, step_points
 
 
-def _reduced_step(system: _Linearised, observations, free, U, V_inverse) -> np.ndarray:
+def _reduced_step(system: _Linearised, observations, edges, free, U, V_inverse) -> np.ndarray:
     """Steps (F, 6) of the free cameras."""
-    S, right = _reduced_system(system, observations, free, U, V_inverse)
+    S, right = _reduced_system(system, observations, edges, free, U, V_inverse)
     try:
         return -cho_solve(cho_factor(S, lower=True), right).reshape(-1, 6)
     except np.linalg.LinAlgError:  # rounding made it indefinite: more damping helps
         return np.zeros((len(free), 6))
 
 
-def _reduced_system(system: _Linearised, observations, free, U, V_inverse) -> tuple[np.ndarray, np.ndarray]:
+def _reduced_system(system: _Linearised, observations, edges, free, U, V_inverse) -> tuple[np.ndarray, np.ndarray]:
     """Normal equations (6 F, 6 F) and (6 F,) of the free cameras with the points eliminated."""
     position = np.full(len(system.U), -1)
     position[free] = np.arange(len(free))
@@ -218,6 +221,11 @@ def _reduced_system(system: _Linearised, observations, free, U, V_inverse) -> tu
     S = -(Y @ W.T).toarray()
     for i in range(len(free)):
         S[6 * i : 6 * i + 6, 6 * i : 6 * i + 6] += U[i]
+    if edges is not None:
+        for i, j, block in zip(position[edges.first], position[edges.second], system.across, strict=True):
+            if i >= 0 and j >= 0:
+                S[6 * i : 6 * i + 6, 6 * j : 6 * j + 6] += block
+                S[6 * j : 6 * j + 6, 6 * i : 6 * i + 6] += block.T
     return S, system.g_camera[free].ravel() - Y @ system.g_point.ravel()
 
 

@@ -2,15 +2,22 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
+import torch
 
 from ..camera import Camera
 from .bundle_adjustment import adjust, covariances, without_outliers
 from .landmarks import NONE, Landmarks, Sighting, observations_of, seen_at_least
 from .loops import Place, corrected_poses, recognise
 from .motion import angle, inverse, transform
+from .pose_edges import PoseEdges
+from .view_alignment import SurfaceView, align_views
 
 LOCAL_KEYFRAMES = 8
+NEIGHBOURS = 3  # keyframes before one whose surfaces it is aligned with
+_SAME_VIEW_RAD = 0.6
 _LOCAL_ITERATIONS = 4
 _OUTLIER = 5.0  # sigmas
 _MAX_CAMERAS = 250  # adjusted together with all points; frames between them follow
@@ -27,19 +34,26 @@ class KeyframeGraph:
         self.camera, self.seed = camera, seed
         self.sightings: list[Sighting] = []
         self.keyframes: list[int] = []
+        self.views: dict[int, SurfaceView] = {}  # of the keyframes
+        self.edges: list[
+            tuple[int, int, np.ndarray, np.ndarray]
+        ] = []  # positions, motion and information between views
         self.landmarks = Landmarks()
         self.loops: list[tuple[int, int]] = []  # earlier and later keyframe
 
-    def add(self, sighting: Sighting, descriptors: np.ndarray, as_keyframe: bool) -> bool:
-        """Remember a frame; a keyframe lends its unmatched features, where they have depth, as new landmarks, and what
-        was seen before is made consistent. Returns whether a loop was closed."""
+    def add(self, sighting: Sighting, descriptors: np.ndarray, view: SurfaceView | None) -> bool:
+        """Remember a frame; one with a `view` of the surface is a keyframe: it lends its unmatched features, where they
+        have depth, as new landmarks, and what was seen before is made consistent. Returns whether a loop was closed."""
         self.sightings.append(sighting)
-        if as_keyframe:
+        newest = len(self.sightings) - 1
+        if view is not None:
             self._lend(sighting, descriptors)
-            self.keyframes.append(len(self.sightings) - 1)
+            self.keyframes.append(newest)
+            self.views[newest] = view
         sighting.forget_unmatched()
-        if not as_keyframe or len(self.keyframes) < 2:
+        if view is None or len(self.keyframes) < 2:
             return False
+        self._align_surfaces(newest, self.keyframes[-1 - NEIGHBOURS : -1])
         self._adjust_locally()
         return self._close_loop()
 
@@ -85,9 +99,34 @@ class KeyframeGraph:
         observations = without_outliers(self.camera, poses, points, observations, _OUTLIER)
         observations = observations[seen_at_least(observations, 2)]
         free = np.array([p != self.keyframes[0] for p in cameras])
-        found = covariances(self.camera, poses, points, observations, free)
+        found = covariances(self.camera, poses, points, observations, free, self._edges_among(cameras))
         nearest = np.searchsorted(cameras, strong).clip(max=len(cameras) - 1)
         return {p: found[i] for p, i in zip(strong, nearest, strict=True)}
+
+    def state_dict(self) -> dict[str, Any]:
+        """Plain tensors and containers that `load_state_dict` continues from."""
+        views = {k: [torch.from_numpy(a) for a in (v.points, v.normals, v.sigma)] for k, v in self.views.items()}
+        return {
+            "sightings": [s.to_state() for s in self.sightings],
+            "keyframes": list(self.keyframes),
+            "views": views,
+            "cameras": {k: v.camera.to_dict() for k, v in self.views.items()},
+            "edges": [(a, b, torch.from_numpy(m), torch.from_numpy(i)) for a, b, m, i in self.edges],
+            "loops": list(self.loops),
+            "landmarks": {n: torch.from_numpy(v) for n, v in vars(self.landmarks).items()},
+        }
+
+    def load_state_dict(self, state: dict[str, Any]) -> None:
+        self.sightings = [Sighting.from_state(s) for s in state["sightings"]]
+        self.keyframes = list(state["keyframes"])
+        self.views = {
+            k: SurfaceView(Camera(**state["cameras"][k]), *(a.numpy() for a in images))
+            for k, images in state["views"].items()
+        }
+        self.edges = [(a, b, m.numpy(), i.numpy()) for a, b, m, i in state["edges"]]
+        self.loops = [tuple(loop) for loop in state["loops"]]
+        for name, values in state["landmarks"].items():
+            setattr(self.landmarks, name, values.numpy())
 
     # --- consistency -------------------------------------------------------------------------------------------
     def _lend(self, sighting: Sighting, descriptors: np.ndarray) -> None:
@@ -95,6 +134,27 @@ class KeyframeGraph:
         new = np.flatnonzero((sighting.landmark == NONE) & (depth > 0) & (sigma < _NEW_DEPTH_SIGMA * depth))
         points = transform(sighting.pose[None], self._rays(sighting.uv[new]) * depth[new, None])
         sighting.landmark[new] = self.landmarks.add(points, descriptors[new])
+
+    def _align_surfaces(self, newest: int, others: list[int]) -> None:
+        """Measure the motion between the surfaces of a keyframe and of others that look the same way."""
+        for other in others:
+            between = inverse(self.sightings[other].pose) @ self.sightings[newest].pose
+            if angle(between) > _SAME_VIEW_RAD:
+                continue
+            found = align_views(self.views[other], self.views[newest], between)
+            if found is not None:
+                self.edges.append((other, newest, *found))
+
+    def _edges_among(self, positions: list[int]) -> PoseEdges | None:
+        place = {p: i for i, p in enumerate(positions)}
+        inside = [edge for edge in self.edges if edge[0] in place and edge[1] in place]
+        if not inside:
+            return None
+        first, second, motions, information = zip(*inside, strict=True)
+        return PoseEdges(
+            np.array([place[p] for p in first]), np.array([place[p] for p in second]), np.stack(motions),
+            np.stack(information),
+        )  # fmt: skip
 
     def _adjust_locally(self) -> None:
         """Bundle adjustment of the newest keyframe and those that share most with it; the others hold."""
@@ -124,6 +184,7 @@ class KeyframeGraph:
         off = inverse(view.pose) @ place.pose
         if np.linalg.norm(off[:3, 3]) > _JUMP_M or angle(off) > _JUMP_RAD:
             self._bend(place)
+        self._align_surfaces(newest, [place.keyframe])
         self.landmarks.merge(view.landmark[place.rows], place.numbers)
         self.adjust_globally(10)
         return True
@@ -133,9 +194,7 @@ class KeyframeGraph:
         before = {k: self.sightings[k].pose for k in self.keyframes}
         order = {k: i for i, k in enumerate(self.keyframes)}
         earlier, later = place.keyframe, self.keyframes[-1]
-        loops = [
-            (order[a], order[b], inverse(before[a]) @ before[b]) for a, b in self.loops[:-1] if a in order and b in order
-        ]  # fmt: skip
+        loops = [(order[a], order[b], inverse(before[a]) @ before[b]) for a, b in self.loops[:-1]]
         loops.append((order[earlier], order[later], inverse(before[earlier]) @ place.pose))
         poses = corrected_poses(np.stack([before[k] for k in self.keyframes]), loops)
         owner = np.full(len(self.landmarks), NONE)
@@ -162,12 +221,14 @@ class KeyframeGraph:
         observations = without_outliers(self.camera, poses, points, observations, 3 * _OUTLIER)
         if free_points:
             observations = observations[seen_at_least(observations, 2)]
+        if len(observations) == 0:
+            return
         first = max(2, iterations // 2)
-        result = adjust(self.camera, poses, points, observations, free, free_points=free_points, iterations=first)
+        edges = self._edges_among(positions)
+        settings = {"free_points": free_points, "edges": edges}
+        result = adjust(self.camera, poses, points, observations, free, iterations=first, **settings)
         kept = without_outliers(self.camera, result.poses, result.points, observations, _OUTLIER)
-        result = adjust(
-            self.camera, result.poses, result.points, kept, free, free_points=free_points, iterations=iterations - first
-        )
+        result = adjust(self.camera, result.poses, result.points, kept, free, iterations=iterations - first, **settings)
         for sighting, pose, moves in zip(sightings, result.poses, free, strict=True):
             if moves:
                 sighting.pose = pose

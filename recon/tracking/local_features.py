@@ -1,4 +1,4 @@
-"""Points of an image that are found again in another one: SIFT, with the square-root descriptor of Arandjelovic 2012."""
+"""Points of an image that are found again in another one: SIFT with square-root descriptors (Arandjelovic 2012)."""
 
 from __future__ import annotations
 
@@ -30,12 +30,17 @@ def extract_features(color: np.ndarray, count: int = MAX_FEATURES) -> LocalFeatu
     sift = cv2.SIFT_create(count, 3, _CONTRAST, 10, 1.6, enable_precise_upscale=True)
     keypoints, descriptors = sift.detectAndCompute(grey, None)
     if not keypoints:
-        return LocalFeatures(np.zeros((0, 2)), np.zeros(0), np.zeros((0, 128), np.float32))
+        return no_features()
     uv, kept = np.unique(np.array([k.pt for k in keypoints]), axis=0, return_index=True)  # one of several orientations
     sizes = np.array([keypoints[i].size for i in kept])
     descriptors = descriptors[kept]
     descriptors = np.sqrt(descriptors / np.maximum(descriptors.sum(1, keepdims=True), 1e-9))
     return LocalFeatures(uv, 0.4 + 0.08 * sizes, descriptors)
+
+
+def no_features() -> LocalFeatures:
+    """Of an image without texture, or one that is not looked at."""
+    return LocalFeatures(np.zeros((0, 2)), np.zeros(0), np.zeros((0, 128), np.float32))
 
 
 def match(similarity: np.ndarray) -> np.ndarray:

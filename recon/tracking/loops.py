@@ -62,8 +62,8 @@ def recognise(
 def corrected_poses(poses: np.ndarray, loops: list[tuple[int, int, np.ndarray]]) -> np.ndarray:
     """Poses (K, 4, 4) of the keyframes in order after robust pose-graph optimisation (Open3D, Levenberg-Marquardt).
 
-    `loops`: (earlier, later, T_earlier_later), as places of `poses`. The first pose holds; a loop that contradicts the rest
-    is switched off by its line process (Choi et al. 2015).
+    `loops`: (earlier, later, T_earlier_later), as places of `poses`. The first pose holds; a loop that contradicts the
+    rest is switched off by its line process (Choi et al. 2015).
     """
     import open3d as o3d
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import cv2
 import numpy as np
@@ -15,11 +16,13 @@ from ..config import TrackingConfig
 from ..frame import Frame
 from ..uncertainty import NoiseModel
 from .landmarks import NONE, Sighting
-from .local_features import LocalFeatures
+from .local_features import LocalFeatures, extract_features, no_features
 from .surface_alignment import Readings
+from .view_alignment import SurfaceView
 
 EDGE_SHARE = 0.5  # of the spread of depth around a feature that adds to its sigma
 UNTAUGHT = (0.005, 0.01)  # beta before a sensor is known: a + b depth^2, metres; between a Kinect and a stereo matcher
+VIEW_PIXELS = 19_200  # of a keyframe's picture of the surface
 _GREY = torch.tensor([0.299, 0.587, 0.114]) / 255
 
 
@@ -58,6 +61,53 @@ def weigh(sighting: Sighting, noise: Sequence[NoiseModel | None]) -> None:
         sighting.sigmas_m[:, column] = np.hypot(math.sqrt(2) * beta, EDGE_SHARE * sighting.edges[:, column])
 
 
+@dataclass(frozen=True)
+class Prepared:
+    """What can be made of a frame beforehand: its features, and by sensor every `stride`-th normal (h, w, 3)."""
+
+    features: LocalFeatures
+    normals: dict[str, np.ndarray]
+    stride: int
+
+
+def prepare(frame: Frame, normals: dict[str, Tensor], camera: Camera, config: TrackingConfig) -> Prepared:
+    """Features (none without colour) and thinned-out normals."""
+    features = extract_features(frame.color.numpy(), config.features) if config.color else no_features()
+    stride = max(1, round(math.sqrt(camera.width * camera.height / VIEW_PIXELS)))
+    return Prepared(features, {s: n[::stride, ::stride].numpy() for s, n in normals.items()}, stride)
+
+
+def surface_view(
+    frame: Frame,
+    prepared: Prepared,
+    noise_features: dict[str, Tensor],
+    noise: Sequence[NoiseModel | None],
+    camera: Camera,
+    max_depth_m: float,
+) -> SurfaceView:
+    """The surface as the frame sees it; of several sensors the most certain one at each pixel."""
+    grid = (slice(None, None, prepared.stride), slice(None, None, prepared.stride))
+    best = sigma = normal = None
+    for (sensor, image), model in zip(frame.depths.items(), noise, strict=True):
+        depth = image[grid]
+        own = prepared.normals[sensor]
+        inputs = noise_features[sensor][grid].reshape(depth.numel(), -1) if sensor in noise_features else None
+        spread = math.sqrt(2) * _beta(depth.reshape(-1), inputs, model).view(depth.shape).numpy()
+        usable = ((depth > 0) & (depth < max_depth_m)).numpy() & (np.abs(own).sum(-1) > 0)
+        spread = np.where(usable, spread, np.inf)
+        if best is None:
+            best, sigma, normal = depth.numpy().copy(), spread, own.copy()
+        else:
+            better = spread < sigma
+            best[better], sigma[better], normal[better] = depth.numpy()[better], spread[better], own[better]
+    height, width = best.shape
+    thinned = Camera(
+        width, height, camera.fx / prepared.stride, camera.fy / prepared.stride, camera.cx / prepared.stride,
+        camera.cy / prepared.stride,
+    )  # fmt: skip
+    return SurfaceView(thinned, thinned.rays().numpy() * best[..., None], normal, sigma)
+
+
 def readings_of(
     frame: Frame,
     noise_features: dict[str, Tensor],
@@ -75,7 +125,7 @@ def readings_of(
     for (sensor, image), model in zip(frame.depths.items(), noise, strict=True):
         depth = image[grid]
         valid = (depth > 0) & (depth < max_depth_m)
-        inputs = noise_features[sensor][grid][valid] if sensor in noise_features else torch.zeros(0)
+        inputs = noise_features[sensor][grid][valid] if sensor in noise_features else None
         points.append(rays[valid] * depth[valid, None])
         betas.append(_beta(depth[valid], inputs, model))
         if grey is not None:
@@ -86,9 +136,9 @@ def readings_of(
 
 
 @torch.no_grad()
-def _beta(depth: Tensor, inputs: Tensor, model: NoiseModel | None) -> Tensor:
+def _beta(depth: Tensor, inputs: Tensor | None, model: NoiseModel | None) -> Tensor:
     """depth (N,) metres and inputs (N, F) -> beta (N,) metres."""
-    if model is None or not model.taught:
+    if model is None or inputs is None or not model.taught:
         return UNTAUGHT[0] + UNTAUGHT[1] * depth**2
     device = next(model.parameters()).device
     return model(inputs.to(device)).cpu()
@@ -96,7 +146,7 @@ def _beta(depth: Tensor, inputs: Tensor, model: NoiseModel | None) -> Tensor:
 
 def _spread(depth: np.ndarray) -> np.ndarray:
     """(H, W) metres -> difference of the largest and the smallest reading around each pixel."""
-    ones = np.ones((3, 3), np.uint8)
+    ones = np.ones((7, 7), np.uint8)
     largest = cv2.dilate(depth, ones)
     smallest = cv2.erode(np.where(depth > 0, depth, np.float32(np.inf)), ones)
     return np.where(depth > 0, largest - smallest, np.float32(0.0))

@@ -1,13 +1,13 @@
 """A frame against the surface and the colour of the map: what the tracking loss of the paper asks, solved directly.
 
 Every reading, moved by the pose, should lie on the zero level of the fused distances (which is point-to-plane with the
-gradient as the plane's normal) and show the colour that the map has there. Each residual is divided by what is expected of
-it: the learned beta of the reading and the map's own sigma (paper: |D - D'| / (S + beta)).
+gradient as the plane's normal) and show the colour that the map has there. Each residual is divided by what is
+expected of it: the learned beta of the reading and the map's own sigma (paper: |D - D'| / (S + beta)).
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
@@ -19,18 +19,20 @@ from .pose_estimation import Linearised, Term
 
 SHARE = 0.05  # how much of its information a residual counts: neighbours share most of their error
 COLOR_SIGMA = 0.08  # of 0..1: what colours of the map and of a frame differ by
+LEAST_SCALE, MIN_FOR_SCALE = 0.05, 100
 ROBUST_SCALE = 2.0  # sigmas
 
 
 @dataclass(frozen=True)
 class Readings:
     """Depth readings of a frame: points (N, 3) in camera axes, metres; directions (N, 3) with z = 1; beta (N,) metres;
-    grey (N,) 0..1, or None if colour is not used."""
+    grey (N,) 0..1, or None if colour is not used; `scale` of all sigmas, see `scaled`."""
 
     points: Tensor
     directions: Tensor
     beta: Tensor
     grey: Tensor | None
+    scale: float = 1.0
 
     def __len__(self) -> int:
         return len(self.points)
@@ -63,7 +65,7 @@ def surface_residuals(volume: FusionVolume, readings: Readings, pose: np.ndarray
     sdf, gradient = _interpolated(sums[..., 1] / sums[..., 0], weights, slopes)
     along = (gradient * (readings.directions[kept] @ T[:3, :3].T)).sum(-1)
     map_sigma = (volume.sigma(rows) * weights).sum(-1)
-    sigma = (2 * (readings.beta[kept] * along) ** 2 + map_sigma**2).sqrt()
+    sigma = readings.scale * (2 * (readings.beta[kept] * along) ** 2 + map_sigma**2).sqrt()
     residuals, slopes_world = [sdf / sigma], [gradient / sigma[:, None]]
     if readings.grey is not None:
         value, change = _interpolated(volume.colors(rows).mean(-1), weights, slopes)
@@ -75,18 +77,29 @@ def surface_residuals(volume: FusionVolume, readings: Readings, pose: np.ndarray
     return torch.cat(residuals), torch.cat([d_camera, torch.linalg.cross(points, d_camera)], 1)
 
 
+def scaled(volume: FusionVolume, readings: Readings, pose: np.ndarray) -> Readings:
+    """The readings with sigmas as small as the distances at `pose` show them to be.
+
+    A noise model that is still learning promises too little; which reading is better than which it knows earlier than
+    how good they all are.
+    """
+    r, _ = surface_residuals(volume, replace(readings, grey=None), pose)
+    if len(r) < MIN_FOR_SCALE:
+        return readings
+    return replace(readings, scale=readings.scale * min(1.0, max(LEAST_SCALE, 1.48 * float(r.abs().median()))))
+
+
 def agreement(volume: FusionVolume, readings: Readings, pose: np.ndarray) -> tuple[float, float]:
     """Share of the readings that lie where the map is known, and the share of those within 3 sigma of the surface."""
     if len(readings) == 0:
         return 0.0, 0.0
-    depth_only = Readings(readings.points, readings.directions, readings.beta, None)
-    r, _ = surface_residuals(volume, depth_only, pose)
+    r, _ = surface_residuals(volume, replace(readings, grey=None), pose)
     return len(r) / len(readings), float((r.abs() < 3).float().mean()) if len(r) else 0.0
 
 
 def _known_cells(volume: FusionVolume, world: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-    """For the points (N, 3) in cells that are known: rows and weights (K, 8), slopes (K, 8, 3) of the weights, and which
-    (K,) they are."""
+    """For the points (N, 3) in cells that are known: rows and weights (K, 8), slopes (K, 8, 3) of the weights, and
+    which (K,) they are."""
     rows, weights = volume.grid.trilinear(world)
     known = (rows >= 0) & (volume.sums[rows.clamp(min=0), 3] >= 1)
     kept = known.all(1).nonzero()[:, 0]
