@@ -8,6 +8,7 @@ Gauss-Newton with Levenberg-Marquardt damping, the points eliminated by the Schu
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -117,7 +118,7 @@ def covariances(
         system, observations, edges, free, _damped(system.U[free], damping), np.linalg.inv(_damped(system.V, damping))
     )
     r, _, _ = residuals(camera, poses[observations.camera], points[observations.point], observations)
-    spread = 1.48 * np.median(np.abs(r[:, :2]))
+    spread = 1.48 * np.median(np.abs(r[:, :2])) if len(r) else 1.0
     blocks = np.linalg.pinv(S, hermitian=True).reshape(len(free), 6, len(free), 6)
     result = np.zeros((len(poses), 6, 6))
     result[free] = blocks[np.arange(len(free)), :, np.arange(len(free))] * max(spread**2, 1e-2)
@@ -245,7 +246,7 @@ def _block_sparse(rows, columns, blocks, n_rows: int, n_columns: int) -> sparse.
 
 def _sum_by(index: np.ndarray, values: np.ndarray, count: int) -> np.ndarray:
     """Sum of values (M, ...) over equal `index` (M,) -> (count, ...)."""
-    flat = values.reshape(len(values), -1)
+    flat = values.reshape(len(values), math.prod(values.shape[1:]))  # not -1: there may be none
     matrix = sparse.csr_matrix((np.ones(len(index)), (index, np.arange(len(index)))), (count, len(index)))
     return (matrix @ flat).reshape(count, *values.shape[1:])
 

@@ -1,0 +1,216 @@
+"""Bundle adjustment of scenes that are known, with SciPy as the oracle."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.optimize import least_squares
+from uncle.recon.tracking.bundle_adjustment import (
+    DEPTH_SCALE,
+    PIXEL_SCALE,
+    adjust,
+    covariances,
+    residuals,
+    robust_weights,
+    without_outliers,
+)
+from uncle.recon.tracking.motion import angle, inverse, moved
+from uncle.recon.tracking.pose_edges import PoseEdges
+
+STEP = 1e-6
+
+
+def all_residuals(scene, poses, points):
+    seen = scene.observations
+    return residuals(scene.camera, poses[seen.camera], points[seen.point], seen)
+
+
+def dense_jacobian(scene, poses, points) -> np.ndarray:
+    """(M * (2 + S), 6 C + 3 P)."""
+    _, d_motion, d_point = all_residuals(scene, poses, points)
+    count, rows = len(d_motion), d_motion.shape[1]
+    result = np.zeros((count, rows, 6 * len(poses) + 3 * len(points)))
+    for i, (camera, point) in enumerate(zip(scene.observations.camera, scene.observations.point, strict=True)):
+        result[i, :, 6 * camera : 6 * camera + 6] = d_motion[i]
+        start = 6 * len(poses) + 3 * point
+        result[i, :, start : start + 3] = d_point[i]
+    return result.reshape(count * rows, -1)
+
+
+def shifts_and_turns(poses, true) -> tuple[float, float]:
+    off = inverse(true) @ poses
+    return float(np.abs(off[:, :3, 3]).max()), float(angle(off).max())
+
+
+def test_residuals_vanish_at_the_truth_and_holes_have_none(make_scene):
+    scene = make_scene()
+    r, d_motion, d_point = all_residuals(scene, scene.poses, scene.points)
+    np.testing.assert_allclose(r, 0, atol=1e-9)
+    holes = scene.observations.depths == 0
+    assert holes.any()
+    assert (d_motion[:, 2:][holes] == 0).all()
+    assert (d_point[:, 2:][holes] == 0).all()
+
+
+def test_a_depth_residual_is_in_sigmas_of_inverse_depth(make_scene):
+    scene = make_scene(1, 10)
+    off = replace(scene.observations, depths=scene.observations.depths * 1.01)
+    r, _, _ = residuals(scene.camera, scene.poses[off.camera], scene.points[off.point], off)
+    true, sigma = scene.observations.depths[:, 1], off.sigmas_m[:, 1]
+    expected = (1 / true - 1 / (1.01 * true)) / (sigma / (1.01 * true) ** 2)
+    np.testing.assert_allclose(r[:, 3], expected)
+
+
+@pytest.mark.parametrize("of", ["motion", "point"])
+def test_jacobians_against_differences(make_scene, of):
+    scene = make_scene()
+    poses, points = scene.perturbed(0.05, 0.03, 0.05)
+    seen = scene.observations
+    T, X = poses[seen.camera], points[seen.point]
+    analytic = residuals(scene.camera, T, X, seen)[1 if of == "motion" else 2]
+    for axis in range(analytic.shape[-1]):
+        step = np.zeros(analytic.shape[-1])
+        step[axis] = STEP
+        ends = [(moved(T, np.tile(s * step, (len(T), 1))), X) if of == "motion" else (T, X + s * step) for s in (1, -1)]
+        ahead, behind = (residuals(scene.camera, *end, seen)[0] for end in ends)
+        np.testing.assert_allclose(analytic[..., axis], (ahead - behind) / (2 * STEP), rtol=1e-5, atol=1e-4)
+
+
+def test_robust_cost_of_known_residuals():
+    r = np.array([[PIXEL_SCALE, 0.0, 0.0], [0.0, 0.0, DEPTH_SCALE]])
+    weights, cost = robust_weights(r)
+    np.testing.assert_allclose(weights, [[0.5, 0.5, 1.0], [1.0, 1.0, 0.5]])
+    assert cost == pytest.approx((PIXEL_SCALE**2 + DEPTH_SCALE**2) * np.log(2))
+
+
+def test_poses_and_points_come_back(make_scene):
+    scene = make_scene()
+    poses, points = scene.perturbed(0.05, 0.03, 0.1)
+    found = adjust(scene.camera, poses, points, scene.observations, scene.free, iterations=30)
+    shift, turn = shifts_and_turns(found.poses, scene.poses)
+    assert shift < 1e-4
+    assert turn < 1e-4
+    np.testing.assert_allclose(found.points, scene.points, atol=5e-4)
+    assert (found.poses[0] == poses[0]).all()
+
+
+def test_a_sensor_that_lies_is_outvoted(make_scene):
+    scene = make_scene(points=100, lying=0.4, lie_m=1.0)
+    poses, points = scene.perturbed(0.03, 0.02, 0.05)
+    found = adjust(scene.camera, poses, points, scene.observations, scene.free, iterations=50)
+    shift, turn = shifts_and_turns(found.poses, scene.poses)
+    assert shift < 0.005
+    assert turn < 0.003
+    assert np.median(np.linalg.norm(found.points - scene.points, axis=1)) < 0.01
+
+
+def test_poses_come_back_with_points_held(make_scene):
+    scene = make_scene()
+    poses, _ = scene.perturbed(0.1, 0.05, 0.0)
+    found = adjust(scene.camera, poses, scene.points, scene.observations, scene.free, free_points=False, iterations=30)
+    shift, turn = shifts_and_turns(found.poses, scene.poses)
+    assert shift < 1e-4
+    assert turn < 1e-4
+    assert (found.points == scene.points).all()
+
+
+def test_agrees_with_dense_least_squares(make_scene):
+    scene = make_scene(3, 8)
+    rng = np.random.default_rng(5)
+    noisy = replace(scene.observations, uv=scene.observations.uv + rng.normal(0, 0.7, scene.observations.uv.shape))
+    scene = replace(scene, observations=noisy)
+    poses, points = scene.perturbed(0.01, 0.01, 0.01)
+
+    def at(x):
+        steps = np.concatenate([np.zeros((1, 6)), x[:12].reshape(2, 6)])
+        return moved(poses, steps), points + x[12:].reshape(-1, 3)
+
+    def robust(x):  # each squared is its part of the cost
+        r, _, _ = all_residuals(scene, *at(x))
+        pixel = PIXEL_SCALE * np.sqrt(np.log1p((r[:, :2] ** 2).sum(1) / PIXEL_SCALE**2))
+        depth = DEPTH_SCALE * np.sqrt(np.log1p(r[:, 2:] ** 2 / DEPTH_SCALE**2))
+        return np.concatenate([pixel, depth.ravel()])
+
+    oracle = least_squares(robust, np.zeros(12 + points.size), method="lm", ftol=1e-6, xtol=1e-6)
+    found = adjust(scene.camera, poses, points, scene.observations, scene.free, iterations=100)
+    assert found.cost == pytest.approx(2 * oracle.cost, rel=1e-3)
+    shift, turn = shifts_and_turns(found.poses, at(oracle.x)[0])
+    assert shift < 1e-3
+    assert turn < 5e-4
+
+
+def test_one_step_is_that_of_the_dense_normal_equations(make_scene):
+    scene = make_scene(3, 12)
+    start = scene.perturbed(1e-4, 1e-4, 1e-4)
+    found = adjust(scene.camera, *start, scene.observations, scene.free, iterations=1)
+    r, _, _ = all_residuals(scene, *start)
+    weights, _ = robust_weights(r)
+    J, root = dense_jacobian(scene, *start)[:, 6:], np.sqrt(weights).ravel()
+    normal = J.T @ (J * root[:, None] ** 2)
+    normal += np.diag(1e-4 * np.diag(normal) + 1e-9)  # the damping of a first step
+    step = -np.linalg.solve(normal, J.T @ (root**2 * r.ravel()))
+    poses = moved(start[0][1:], step[:12].reshape(2, 6))
+    np.testing.assert_allclose(found.poses[1:], poses, atol=1e-10)
+    np.testing.assert_allclose(found.points, start[1] + step[12:].reshape(-1, 3), atol=1e-10)
+
+
+def test_covariance_is_that_of_the_dense_inverse(make_scene):
+    scene = make_scene(3, 15)
+    rng = np.random.default_rng(6)
+    noisy = replace(scene.observations, uv=scene.observations.uv + rng.normal(0, 0.7, scene.observations.uv.shape))
+    scene = replace(scene, observations=noisy)
+    found = covariances(scene.camera, scene.poses, scene.points, scene.observations, scene.free)
+    r, _, _ = all_residuals(scene, scene.poses, scene.points)
+    weights, _ = robust_weights(r)
+    J = dense_jacobian(scene, scene.poses, scene.points)[:, 6:]
+    dense = np.linalg.inv(J.T @ (J * weights.reshape(-1, 1))) * (1.48 * np.median(np.abs(r[:, :2]))) ** 2
+    assert (found[0] == 0).all()
+    for camera in (1, 2):
+        block = slice(6 * camera - 6, 6 * camera)
+        np.testing.assert_allclose(found[camera], dense[block, block], rtol=1e-4, atol=1e-4 * found[camera].max())
+
+
+def test_a_sure_edge_makes_a_pose_surer(make_scene):
+    scene = make_scene(3, 15)
+    edges = PoseEdges(
+        np.array([0]), np.array([2]), (inverse(scene.poses[0]) @ scene.poses[2])[None], 1e10 * np.eye(6)[None]
+    )
+    without = covariances(scene.camera, scene.poses, scene.points, scene.observations, scene.free)
+    found = covariances(scene.camera, scene.poses, scene.points, scene.observations, scene.free, edges)
+    assert (np.diagonal(found[2]) < 0.01 * np.diagonal(without[2])).all()
+
+
+@pytest.mark.parametrize("error", [0.01, 0.1, 0.5, 3.0])
+def test_cost_never_grows(make_scene, error):
+    scene = make_scene(lying=0.3)
+    poses, points = scene.perturbed(error, error, error)
+    costs = [adjust(scene.camera, poses, points, scene.observations, scene.free, iterations=n).cost for n in range(8)]
+    assert np.isfinite(costs).all()
+    assert (np.diff(costs) <= 0).all()
+    assert costs[-1] < costs[0]
+
+
+def test_nothing_seen_moves_nothing(make_scene):
+    scene = make_scene(3, 5)
+    none = scene.observations[np.zeros(len(scene.observations), bool)]
+    found = adjust(scene.camera, scene.poses, scene.points, none, scene.free)
+    assert (found.poses == scene.poses).all()
+    assert (found.points == scene.points).all()
+    assert np.isfinite(covariances(scene.camera, scene.poses, scene.points, none, scene.free)).all()
+
+
+def test_outliers_are_left_out(make_scene):
+    scene = make_scene(2, 20)
+    uv, depths = scene.observations.uv.copy(), scene.observations.depths.copy()
+    uv[3] += [0.7 * 6, 0.0]
+    uv[4] += [0.7 * 4, 0.0]
+    depths[5, 1] *= 2
+    spoilt = replace(scene.observations, uv=uv, depths=depths)
+    points = scene.points.copy()
+    points[7] = scene.poses[1][:3, 3] - 2 * scene.poses[1][:3, 2]  # behind both cameras
+    kept = without_outliers(scene.camera, scene.poses, points, spoilt, 5.0)
+    expected = np.ones(40, bool)
+    expected[[3, 7, 27]] = False
+    assert kept.uv.tolist() == uv[expected].tolist()
+    depths[5, 1] = 0.0
+    assert kept.depths.tolist() == depths[expected].tolist()
