@@ -71,7 +71,7 @@ def test_every_setting_is_described():
 def test_the_method_page_names_functions_that_exist():
     """`[file.py](../recon/file.py) `name`, `name`` in the table of docs/method.md."""
     text = (ROOT / "docs" / "method.md").read_text()
-    named = re.findall(r"\(\.\./(recon/\w+\.py)\),? ((?:`\w+`(?:, )?)+)", text)
+    named = re.findall(r"\(\.\./(recon/[\w/]+\.py)\),? ((?:`\w+`(?:, )?)+)", text)
     assert len(named) > 12
     for path, names in named:
         for name in re.findall(r"\w+", names):

@@ -87,7 +87,8 @@ class KeyframeGraph:
         self._carry(before, set(strong))
 
     def covariances(self) -> dict[int, np.ndarray]:
-        """Covariance (6, 6) of each frame's pose against the first one, by position, where features determine it."""
+        """Covariance (6, 6) of each frame's pose, metres and radians, against the first keyframe (zero for that one),
+        by position; of the frames that enough features hold."""
         strong = self._strong()
         stride = -(-len(strong) // _MAX_CAMERAS) or 1
         cameras = sorted({*strong[::stride], *self.keyframes}) if stride > 1 else strong
