@@ -119,7 +119,7 @@ def choose_tracker(frames: RunFrames, indices: list[int], config: MapConfig, map
         return GivenPoses()
     noise = [mapper.noise[s] if mapper else None for s in frames.sensors]
     volume = mapper.volume if mapper else None
-    return AlignTracker(frames.camera, config.tracking, config.seed, frames.pose(indices[0]), noise, volume)
+    return AlignTracker(frames.camera, config.tracking, config.seed, noise, volume)
 
 
 def _explore(view: View, frames: RunFrames, mapper: Mapper, tracker: Tracker, progress: Progression) -> None:

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import torch
+from scipy.spatial import cKDTree
 
 from ..camera import Camera
 from ..config import TrackingConfig
@@ -58,7 +59,6 @@ class AlignTracker:
         camera: Camera,
         config: TrackingConfig,
         seed: int,
-        T_world_first: np.ndarray | None = None,
         noise: Sequence[NoiseModel | None] = (),
         volume: FusionVolume | None = None,
     ) -> None:
@@ -66,7 +66,6 @@ class AlignTracker:
         self.noise, self.volume = noise, volume
         self.graph = KeyframeGraph(camera, seed)
         self.frames: list[TrackedFrame] = []
-        self._first = np.eye(4) if T_world_first is None else T_world_first
         self._velocity = np.eye(4)
         self._lost = False
 
@@ -84,7 +83,7 @@ class AlignTracker:
         sighting = sight(frame, features, noise_features, self.noise, self.camera)
         readings = self._readings(frame, noise_features)
         if not self.graph.sightings:
-            found, status = self._begun(sighting, readings)
+            found, status = self._begun(frame, sighting, readings)
         else:
             found, status = self._locate(sighting, features.descriptors, readings)
         self._note(frame, status, 0 if found is None else len(found.rows))
@@ -156,13 +155,14 @@ class AlignTracker:
         readings = readings_of(frame, noise_features, self.noise, self.camera, self.config, self._reach)
         return readings if len(readings) >= MIN_READINGS else None
 
-    def _begun(self, sighting: Sighting, readings: Readings | None) -> tuple[_Found | None, Status]:
-        """The first frame that shows anything defines the world."""
+    def _begun(self, frame: Frame, sighting: Sighting, readings: Readings | None) -> tuple[_Found | None, Status]:
+        """The first frame that shows anything defines the world: by its given pose, else it is the origin."""
         anchors = int((sighting.mean_depth()[0] > 0).sum())
         if anchors < MIN_INLIERS and readings is None:
             return None, "lost"
         nothing = np.zeros(0, np.int64)
-        return _Found(self._first, np.zeros((6, 6)), nothing, nothing), "tracked"
+        first = np.eye(4) if frame.T_world_camera is None else frame.T_world_camera
+        return _Found(first, np.zeros((6, 6)), nothing, nothing), "tracked"
 
     def _locate(
         self, sighting: Sighting, descriptors: np.ndarray, readings: Readings | None
@@ -235,7 +235,10 @@ class AlignTracker:
     def _again(self, sighting: Sighting, descriptors: np.ndarray) -> _Found | None:
         """Relocalise against all keyframes."""
         place = self.graph.recognise(sighting, descriptors)
-        return None if place is None else self._agreeing(sighting, place.pose, place.rows, place.numbers)
+        if place is None:
+            return None
+        found = self._agreeing(sighting, place.pose, place.rows, place.numbers)
+        return found if len(found.rows) >= SURE_MATCHES // 2 else None
 
     def _is_keyframe(self, sighting: Sighting, matches: int) -> bool:
         """A frame that moved or lost sight of what is known, and can lend landmarks."""
@@ -257,10 +260,12 @@ class AlignTracker:
         )  # fmt: skip
 
     def _near(self, pose: np.ndarray, points: np.ndarray, uv: np.ndarray) -> np.ndarray:
-        """(N, P) which features lie near the projection of which points."""
+        """(C, 2) pairs of features and points whose projection is near."""
         local = transform(inverse(pose)[None], points)
-        projected = np.where(local[:, 2:] > 0.05, self._project(local), -1e6)
-        return ((uv[:, None] - projected) ** 2).sum(-1) < SEARCH_PX**2
+        ahead = np.flatnonzero(local[:, 2] > 0.05)
+        features, projected = cKDTree(uv), cKDTree(self._project(local[ahead]))
+        pairs = features.sparse_distance_matrix(projected, SEARCH_PX, output_type="coo_matrix")
+        return np.column_stack([pairs.row, ahead[pairs.col]])
 
     def _project(self, local: np.ndarray) -> np.ndarray:
         """(N, 3) points in camera axes -> (N, 2) pixels; meaningless behind the camera."""

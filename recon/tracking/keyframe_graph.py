@@ -24,6 +24,7 @@ _MAX_CAMERAS = 250  # adjusted together with all points; frames between them fol
 _MIN_FEATURES = 20  # a frame with fewer follows its keyframe
 _NEW_DEPTH_SIGMA = 0.15  # of the depth: a reading less certain makes no landmark
 _KNOWN_SHARE = 20  # landmarks in common that make two keyframes neighbours: nothing to recognise
+_LEFT_M, _LEFT_RAD = 0.1, 0.1  # what may be left of a loop's error when all keyframes shared it
 _JUMP_M, _JUMP_RAD = 0.02, 0.02  # a loop that is off by more bends the graph before bundle adjustment
 
 
@@ -181,23 +182,29 @@ class KeyframeGraph:
         place = self.recognise(view, self.landmarks.descriptors[current], neighbours)
         if place is None:
             return False
-        self.loops.append((place.keyframe, newest))
         off = inverse(view.pose) @ place.pose
-        if np.linalg.norm(off[:3, 3]) > _JUMP_M or angle(off) > _JUMP_RAD:
-            self._bend(place)
+        if (np.linalg.norm(off[:3, 3]) > _JUMP_M or angle(off) > _JUMP_RAD) and not self._bend(place):
+            return False
+        self.loops.append((place.keyframe, newest))
         self._align_surfaces(newest, [place.keyframe])
         self.landmarks.merge(view.landmark[place.rows], place.numbers)
         self.adjust_globally(10)
         return True
 
-    def _bend(self, place: Place) -> None:
-        """Spread the error of a loop over the keyframes; landmarks and frames move with theirs."""
+    def _bend(self, place: Place) -> bool:
+        """Spread the error of a loop over the keyframes; landmarks and frames move with theirs.
+
+        Returns False, and moves nothing, if the rest contradicts the loop.
+        """
         before = {k: self.sightings[k].pose for k in self.keyframes}
         order = {k: i for i, k in enumerate(self.keyframes)}
         earlier, later = place.keyframe, self.keyframes[-1]
-        loops = [(order[a], order[b], inverse(before[a]) @ before[b]) for a, b in self.loops[:-1]]
+        loops = [(order[a], order[b], inverse(before[a]) @ before[b]) for a, b in self.loops]
         loops.append((order[earlier], order[later], inverse(before[earlier]) @ place.pose))
         poses = corrected_poses(np.stack([before[k] for k in self.keyframes]), loops)
+        left = inverse(loops[-1][2]) @ inverse(poses[order[earlier]]) @ poses[order[later]]
+        if np.linalg.norm(left[:3, 3]) > _LEFT_M or angle(left) > _LEFT_RAD:
+            return False
         owner = np.full(len(self.landmarks), NONE)
         for k in reversed(self.keyframes):  # a landmark belongs to the first keyframe that saw it
             owner[self.numbers(k)] = k
@@ -206,6 +213,7 @@ class KeyframeGraph:
             mine = owner == k
             self.landmarks.points[mine] = transform((pose @ inverse(before[k]))[None], self.landmarks.points[mine])
         self._carry(before, set(self.keyframes))
+        return True
 
     def _carry(self, before: dict[int, np.ndarray], placed: set[int]) -> None:
         """Frames not in `placed` follow the last keyframe before them from where it was `before`."""

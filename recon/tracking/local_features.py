@@ -52,20 +52,23 @@ def match(similarity: np.ndarray) -> np.ndarray:
         return np.zeros((0, 2), np.int64)
     rows = np.arange(len(similarity))
     best = similarity.argmax(1)
-    top = similarity[rows, best]
-    second = np.partition(similarity, -2, axis=1)[:, -2]
     mutual = similarity.argmax(0)[best] == rows
+    top = similarity[rows, best]
+    others = similarity.copy()
+    others[rows, best] = -np.inf
+    second = others.max(1)
     distinct = (1 - top) < _RATIO * (1 - second)
     kept = mutual & distinct
     return np.column_stack([rows[kept], best[kept]])
 
 
-def match_near(similarity: np.ndarray, near: np.ndarray, threshold: float = 0.75) -> np.ndarray:
-    """(M, 2) pairs that choose each other among those `near` (N, K) each other, if at least `threshold` alike."""
-    if 0 in similarity.shape:
-        return np.zeros((0, 2), np.int64)
-    allowed = np.where(near, similarity, -1.0)
-    rows = np.arange(len(similarity))
-    best = allowed.argmax(1)
-    kept = (allowed[rows, best] > threshold) & (allowed.argmax(0)[best] == rows)
-    return np.column_stack([rows[kept], best[kept]])
+def match_near(similarity: np.ndarray, candidates: np.ndarray, threshold: float = 0.75) -> np.ndarray:
+    """(M, 2) pairs among `candidates` (C, 2) that choose each other, if at least `threshold` alike."""
+    alike = similarity[candidates[:, 0], candidates[:, 1]]
+    order = np.argsort(-alike[alike > threshold], kind="stable")
+    best = candidates[alike > threshold][order]
+    first_of_row = np.zeros(len(best), bool)
+    first_of_column = first_of_row.copy()
+    first_of_row[np.unique(best[:, 0], return_index=True)[1]] = True
+    first_of_column[np.unique(best[:, 1], return_index=True)[1]] = True
+    return best[first_of_row & first_of_column]
