@@ -69,8 +69,9 @@ def test_pairs_choose_each_other_and_are_not_ambiguous():
 
 def test_near_pairs_are_near_and_alike():
     similarity = np.array([[0.95, 0.9, 0.0], [0.9, 0.1, 0.8], [0.0, 0.2, 0.7]])
-    near = np.array([[False, True, True], [True, True, True], [True, True, True]])
-    assert match_near(similarity, near).tolist() == [[0, 1], [1, 0]]
-    assert match_near(similarity, near, 0.6).tolist() == [[0, 1], [1, 0]]  # row 2 likes a column that prefers row 1
-    assert match_near(similarity, np.zeros_like(near)).shape == (0, 2)
-    assert match_near(np.zeros((0, 3)), np.zeros((0, 3), bool)).shape == (0, 2)
+    near = np.argwhere([[False, True, True], [True, True, True], [True, True, True]])
+    for threshold in (0.75, 0.6):  # row 2 likes a column that prefers row 1
+        assert sorted(match_near(similarity, near, threshold).tolist()) == [[0, 1], [1, 0]]
+    assert match_near(similarity, near, 0.9).shape == (0, 2)
+    assert match_near(similarity, near[:0]).shape == (0, 2)
+    assert match_near(np.zeros((0, 3)), near[:0]).shape == (0, 2)
