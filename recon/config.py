@@ -91,7 +91,7 @@ class TrackingConfig(_Strict):
     features: int = Field(1000, ge=50, description="Features taken from an image, the strongest.")
     readings: int = Field(1000, ge=0, description="Depth readings of each sensor that are aligned with the surface.")
     explore_every: int = Field(
-        2, ge=1, description="Every n-th frame, and every keyframe, enters the map while tracking; all do afterwards."
+        3, ge=1, description="Every n-th frame, and every keyframe, enters the map while tracking; all do afterwards."
     )
     keyframe_matches: int = Field(80, ge=12, description="A frame with fewer matches becomes a keyframe.")
     keyframe_turn_rad: float = Field(0.1, gt=0, description="So does one that turned by more, radians,")
