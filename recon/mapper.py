@@ -166,7 +166,7 @@ class Mapper:
         stacked = [image.view(-1, image.shape[-1])[pixels] for image in features.values()]
         rays = {
             "frames": torch.full((len(pixels),), frame.index),
-            "origins": T_world_camera[:3, 3].cpu().expand(len(pixels), 3),
+            "origins": T_world_camera[:3, 3].cpu().repeat(len(pixels), 1),  # each its own: rays can move
             "directions": directions,
             "depths": depths[pixels],
             "colors": frame.color.view(-1, 3)[pixels],

@@ -247,3 +247,46 @@ def test_agrees_with_open3d(make_mappable_run: Callable[..., RunDirectory]):
 
 def positions_of(grid: SparseGrid) -> torch.Tensor:
     return grid.block_positions(torch.arange(len(grid.blocks))).view(-1, 3)
+
+
+def integrated(volume: FusionVolume, room, index: int, take_out_of: int | None = None) -> None:
+    """The image of the room along angle 0.3 `index`, with weights, doubts and colours that tell it from others."""
+    pose = room.pose(0.3 * index)
+    depth, generator = torch.from_numpy(room.depth(pose)).float(), torch.Generator().manual_seed(index)
+    weight = 0.5 + torch.rand(depth.shape, generator=generator)
+    color = torch.randint(0, 255, (*depth.shape, 3), generator=generator, dtype=torch.uint8)
+    if take_out_of is None:
+        volume.allocate(depth, torch.from_numpy(pose).float())
+    volume.integrate(depth, weight, color, torch.from_numpy(pose).float(), 0.1 * weight, take_out_of)
+
+
+def test_what_is_taken_out_was_never_there(box_room):
+    volume = make_volume(box_room.camera)
+    integrated(volume, box_room, 0)
+    sums, color_sums = volume.sums.clone(), volume.color_sums.clone()
+    integrated(volume, box_room, 1)
+    assert (volume.sums[: len(sums)] - sums).abs().max() > 0.5
+    integrated(volume, box_room, 1, len(volume.grid.blocks))
+    torch.testing.assert_close(volume.sums[: len(sums)], sums, atol=1e-6, rtol=1e-6)
+    torch.testing.assert_close(volume.color_sums[: len(sums)], color_sums, atol=1e-3, rtol=1e-6)
+    assert volume.sums[len(sums) :].abs().max() < 1e-6
+    volume.clear_empty()
+    assert (volume.sums[len(sums) :] == 0).all()
+    assert (volume.color_sums[volume.sums[:, 3] == 0] == 0).all()
+    assert torch.equal(volume.counts()[: len(sums)], sums[:, 3])
+
+
+def test_blocks_allocated_since_lose_nothing_to_what_is_taken_out(box_room):
+    volume, without = make_volume(box_room.camera), make_volume(box_room.camera)
+    integrated(volume, box_room, 0)
+    blocks = len(volume.grid.blocks)
+    without.grid.allocate(volume.grid.blocks)
+    without.reset()
+    for made in (volume, without):
+        integrated(made, box_room, 1)
+    assert len(volume.grid.blocks) > blocks
+    integrated(volume, box_room, 0, blocks)
+    volume.clear_empty()
+    assert torch.equal(volume.grid.blocks, without.grid.blocks)
+    torch.testing.assert_close(volume.sums, without.sums, atol=1e-6, rtol=1e-6)
+    torch.testing.assert_close(volume.color_sums, without.color_sums, atol=1e-3, rtol=1e-6)

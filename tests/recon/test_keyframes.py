@@ -54,7 +54,8 @@ def rays(first: int, count: int) -> dict[str, torch.Tensor]:
     """Rays whose every column tells their number."""
     number = torch.arange(first, first + count).float()[:, None]
     return {
-        "frames": torch.full((count,), first // 100), "origins": number.expand(-1, 3), "directions": -number.expand(-1, 3), "depths": number.expand(-1, 2),
+        "frames": torch.full((count,), first // 100), "origins": number.expand(-1, 3), "directions": -number.expand(-1, 3),
+        "depths": number.expand(-1, 2),
         "colors": (number.expand(-1, 3) % 256).byte(), "features": (number[..., None] % 100).expand(-1, 2, 4).half(),
     }  # fmt: skip
 
@@ -87,3 +88,23 @@ def test_store_is_seeded():
     assert torch.equal(filled(1)["depths"], filled(1)["depths"])
     assert not torch.equal(filled(1)["depths"], filled(2)["depths"])
     assert len(RayStore(10)) == 0
+
+
+def test_rays_follow_their_cameras_and_no_others():
+    """A quarter turn about z, then a step: worked out by hand."""
+    store, generator = RayStore(1000), torch.Generator().manual_seed(0)
+    store.add(rays(0, 4), generator)
+    store.add(rays(100, 3), generator)
+    before = {name: values.clone() for name, values in store.columns.items()}
+    frames = before["frames"].unique()
+    assert len(frames) == 2
+    turn = torch.tensor([[0.0, -1, 0, 5], [1, 0, 0, 6], [0, 0, 1, 7], [0, 0, 0, 1]], dtype=torch.float64)
+    store.move({int(frames[1]): turn, 999: torch.eye(4)})
+    mine = before["frames"] == frames[1]
+    x, y, z = before["origins"][mine].unbind(-1)
+    torch.testing.assert_close(store["origins"][mine], torch.stack([5 - y, 6 + x, 7 + z], -1))
+    x, y, z = before["directions"][mine].unbind(-1)
+    torch.testing.assert_close(store["directions"][mine], torch.stack([-y, x, z], -1))
+    for name in RayStore.FIELDS:
+        assert torch.equal(store[name][~mine], before[name][~mine])
+    assert torch.equal(store["depths"], before["depths"])

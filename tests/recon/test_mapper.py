@@ -181,3 +181,47 @@ def test_weights_have_a_floor_below_the_typical_one_of_their_image():
     floored = _with_floor(weight, valid)[valid]
     torch.testing.assert_close(floored, torch.tensor([WEIGHT_FLOOR * 1.0, 1.0, 3.0]))
     assert _with_floor(weight, torch.zeros_like(valid)) is weight
+
+
+def test_fusing_again_is_as_if_the_new_pose_had_been_known():
+    """The models learn between the two: the old readings go out with the weights they came in with."""
+    frames = [make_frame(index, depth) for index, depth in enumerate(DEPTHS[:3])]
+    wrong, right = torch.eye(4), torch.eye(4)
+    wrong[:3, 3], right[:3, 3] = torch.tensor([0.15, 0.0, -0.1]), torch.tensor([-0.1, 0.05, 0.1])
+    corrected, known = make_mapper("tracking.enabled=true"), make_mapper("tracking.enabled=true")
+    for mapper in (corrected, known):
+        for pose in (torch.eye(4), wrong, right):
+            for frame in frames:
+                mapper.volume.allocate(frame.depths["a"], pose)
+    features = [corrected.features(frame, {"a": NORMALS}) for frame in frames]
+    corrected.explore(frames[0], features[0], torch.eye(4))
+    corrected.fuse(frames[1], features[1], wrong)
+    corrected.fuse(frames[2], features[2], torch.eye(4))
+    old = corrected.noise["a"](features[1]["a"]).detach()
+    corrected.learn()
+    learned = corrected.noise["a"](features[1]["a"]).detach()
+    assert (learned / old - 1).abs().max() > 0.01
+    corrected.refuse(frames[1], features[1], right)
+    known.fuse(frames[0], features[0], torch.eye(4))
+    known.fuse(frames[2], features[2], torch.eye(4))
+    known.noise["a"].load_state_dict(corrected.noise["a"].state_dict())
+    known.fuse(frames[1], features[1], right)
+    assert torch.equal(corrected.volume.grid.blocks, known.volume.grid.blocks)
+    assert torch.equal(corrected.volume.counts(), known.volume.counts())
+    torch.testing.assert_close(corrected.volume.sums, known.volume.sums, atol=1e-6, rtol=1e-5)
+    torch.testing.assert_close(corrected.volume.color_sums, known.volume.color_sums, atol=1e-3, rtol=1e-5)
+    assert torch.equal(corrected.log.entries[1].T_world_camera, right)
+
+
+def test_rays_follow_a_frame_that_is_x:
+    moved = torch.eye(4)
+    moved[:3, :3] = torch.tensor([[0.0, 0, 1], [0, 1, 0], [-1, 0, 0]])
+    moved[:3, 3] = torch.tensor([1.0, 2.0, 3.0])
+    corrected, known = make_mapper("tracking.enabled=true"), make_mapper("tracking.enabled=true")
+    frame = make_frame(0, 2.0)
+    explore(corrected, frame)
+    assert corrected.rays["origins"].is_contiguous()  # rays that share memory cannot be moved in place
+    corrected.refuse(frame, corrected.features(frame, {"a": NORMALS}), moved)
+    explore(known, frame, moved)
+    torch.testing.assert_close(corrected.rays["origins"], known.rays["origins"])
+    torch.testing.assert_close(corrected.rays["directions"], known.rays["directions"])
