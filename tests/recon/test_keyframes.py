@@ -54,8 +54,8 @@ def rays(first: int, count: int) -> dict[str, torch.Tensor]:
     """Rays whose every column tells their number."""
     number = torch.arange(first, first + count).float()[:, None]
     return {
-        "frames": torch.full((count,), first // 100), "origins": number.expand(-1, 3), "directions": -number.expand(-1, 3),
-        "depths": number.expand(-1, 2),
+        "frames": torch.full((count,), first // 100), "origins": number.expand(-1, 3),
+        "directions": -number.expand(-1, 3), "depths": number.expand(-1, 2),
         "colors": (number.expand(-1, 3) % 256).byte(), "features": (number[..., None] % 100).expand(-1, 2, 4).half(),
     }  # fmt: skip
 

@@ -213,7 +213,7 @@ def test_fusing_again_is_as_if_the_new_pose_had_been_known():
     assert torch.equal(corrected.log.entries[1].T_world_camera, right)
 
 
-def test_rays_follow_a_frame_that_is_x:
+def test_rays_follow_a_frame_that_is_fused_again():
     moved = torch.eye(4)
     moved[:3, :3] = torch.tensor([[0.0, 0, 1], [0, 1, 0], [-1, 0, 0]])
     moved[:3, 3] = torch.tensor([1.0, 2.0, 3.0])
