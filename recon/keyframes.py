@@ -84,6 +84,8 @@ class RayStore:
 
     def move(self, motions: dict[int, Tensor]) -> None:
         """The rays of frames follow their cameras: index -> T_new_old (4, 4), in world axes."""
+        if motions:
+            self.columns |= {name: self[name].clone() for name in ("origins", "directions")}  # rows may share memory
         for index, motion in motions.items():
             mine = (self["frames"] == index).nonzero()[:, 0]
             motion = motion.to(self["origins"])

@@ -25,7 +25,7 @@ from .pipeline import choose_device, choose_tracker, reconstruct
 from .recording import RunFrames
 from .run import Manifest, RunDirectory, config_hash
 from .storage import BETA_UNITS_PER_M, encode_metres, explain_write_errors, write_image, write_text
-from .tracking import GivenPoses, Tracker
+from .tracking import GivenPoses, Tracker, require_found
 from .tracking_record import TrackingRecord
 from .trajectory import Trajectory
 from .tsdf import fuse_open3d
@@ -165,7 +165,9 @@ def _track_alone(frames: RunFrames, indices: list[int], tracker: Tracker, on_eve
 
     for frame, prepared in track_progress(frames.stream(indices, prepare), len(indices), "tracking", on_event):
         tracker.track(frame, prepared, {})
-    return tracker.finish()
+    poses = tracker.finish()
+    require_found(poses, len(indices))
+    return poses
 
 
 def _report_lost(tracking: TrackingRecord, on_event: OnEvent) -> None:

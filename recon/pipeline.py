@@ -21,7 +21,7 @@ from .frame import Frame
 from .mapper import Mapper
 from .recording import RunFrames
 from .refine import refine
-from .tracking import GivenPoses, Tracker
+from .tracking import GivenPoses, Tracker, require_found
 from .tracking.align import AlignTracker
 from .tracking_record import TrackingRecord
 
@@ -89,6 +89,8 @@ def reconstruct(
             progress.position += 1
             if checkpoint.due():
                 _save(checkpoint, mapper, tracker, progress)
+        if config.tracking.enabled:
+            require_found(progress.poses, len(indices))
         with _timed(progress, "learning"):
             _end_sweep(mapper, progress, last=sweep == sweeps)
         if sweep == 0:

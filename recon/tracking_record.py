@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Literal, get_args
 
+import numpy as np
 from pydantic import BaseModel, ConfigDict, ValidationError
 
 from .errors import DataError
@@ -39,6 +41,21 @@ class TrackingRecord(BaseModel):
     def save(self, path: Path) -> None:
         """Raises RunError."""
         write_text(path, self.model_dump_json() + "\n")
+
+    @staticmethod
+    def of(frames: Sequence[TrackedFrame], spread: dict[int, np.ndarray]) -> TrackingRecord:
+        """`frames` with covariances against the first frame: `spread` holds those (6, 6) that are known, by index.
+
+        The others are known against the map, that is against the frame before them that is in `spread`.
+        """
+        known, placed = np.zeros((6, 6)), []
+        for frame in frames:
+            known = spread.get(frame.index, known)
+            if frame.covariance is not None:
+                whole = known if frame.index in spread else known + frame.covariance
+                frame = frame.model_copy(update={"covariance": whole.tolist()})
+            placed.append(frame)
+        return TrackingRecord(frames=tuple(placed))
 
     @staticmethod
     def load(path: Path) -> TrackingRecord:

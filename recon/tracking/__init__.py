@@ -70,3 +70,12 @@ class GivenPoses:
         """Raises DataError if the recording has no poses at all."""
         if not has_any:
             raise DataError("this recording has no camera poses; `uncle map --track` estimates them")
+
+
+def require_found(poses: dict[int, Any], frames: int) -> None:
+    """Raises DataError if the camera was lost in every one of `frames`."""
+    if not poses:
+        raise DataError(
+            f"the camera was lost in all {frames} frames: none has enough depth within range to begin with; check the "
+            "depth images, or raise fusion.max_depth_m"
+        )

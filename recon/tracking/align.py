@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -20,8 +20,8 @@ from ..uncertainty import NoiseModel
 from .keyframe_graph import KeyframeGraph
 from .landmarks import Sighting
 from .local_features import match, match_near
-from .motion import angle, inverse, motion_between, transform
-from .pose_estimation import MIN_INLIERS, feature_term, minimise, prior_term, ransac_pose
+from .motion import angle, inverse, motion_between, moved, transform
+from .pose_estimation import MIN_INLIERS, covariance_of, feature_term, is_weak, minimise, prior_term, ransac_pose
 from .sightings import Prepared, prepare, readings_of, sight, surface_view, weigh
 from .surface_alignment import Readings, agreement, scaled, surface_term
 
@@ -31,20 +31,24 @@ SURE_MATCHES = 30  # fewer are believed only near the expected pose
 MIN_READINGS = 300
 JOINT_ITERATIONS = 3  # from where the features have it
 MIN_KNOWN, MIN_ON_SURFACE = 0.4, 0.6  # shares of the readings: below, the surface does not confirm a pose
-WEAK_M, WEAK_RAD = 0.02, 0.02  # 1 sigma of the direction that is known least
+WORST_FIT = 2.5  # times the usual distance from the surface
 _COARSE_SCALE = 6.0  # of the robust kernel in the first pass against the surface
 _EXPECTED_M, _EXPECTED_RAD = 0.02, 0.02  # least uncertainty of a predicted motion
+_FIT_RATE = 0.1  # how fast what is usual follows
+_HELD = 0.2  # of the surface's information proves that it shows a motion
 _FARTHEST_M, _FARTHEST_RAD = 0.5, 0.8  # a few matches do not prove a larger motion within one frame
 
 
 @dataclass(frozen=True)
 class _Found:
-    """A pose (4, 4), its information (6, 6) from what was seen, the matched features (K,) and their landmarks (K,)."""
+    """A pose (4, 4), its information (6, 6) from what was seen, the matched features (K,) and their landmarks (K,);
+    `shown` (6, 6) is the share of a motion that the frame shows rather than the expectation."""
 
     pose: np.ndarray
     information: np.ndarray
     rows: np.ndarray
     numbers: np.ndarray
+    shown: np.ndarray = field(default_factory=lambda: np.eye(6))
 
 
 class AlignTracker:
@@ -68,6 +72,7 @@ class AlignTracker:
         self.frames: list[TrackedFrame] = []
         self._velocity = np.eye(4)
         self._lost = False
+        self._fit: float | None = None  # how far readings usually lie from the surface, in sigmas that were promised
 
     # --- the protocol of a tracker -----------------------------------------------------------------------------
     def prepare(self, frame: Frame, normals: dict[str, torch.Tensor]) -> Prepared:
@@ -86,12 +91,13 @@ class AlignTracker:
             found, status = self._begun(frame, sighting, readings)
         else:
             found, status = self._locate(sighting, features.descriptors, readings)
-        self._note(frame, status, 0 if found is None else len(found.rows))
+        self._note(frame, status, found)
         if found is None:
             self._lost, self._velocity = True, np.eye(4)
             return None
         steady = bool(self.graph.sightings) and not self._lost
-        self._velocity = inverse(self._last.pose) @ found.pose if steady else np.eye(4)
+        motion = found.shown @ motion_between(self._last.pose, found.pose) if steady else np.zeros(6)
+        self._velocity = moved(np.eye(4), motion)
         self._lost = False
         sighting.pose = found.pose
         sighting.landmark[found.rows] = found.numbers
@@ -119,11 +125,7 @@ class AlignTracker:
     def record(self) -> TrackingRecord:
         """Status of every frame and, after `finish`, the covariance of its pose."""
         spread = {self.graph.sightings[p].index: c for p, c in self.graph.covariances().items()}
-        frames = [
-            f.model_copy(update={"covariance": spread[f.index].tolist()}) if f.index in spread else f
-            for f in self.frames
-        ]
-        return TrackingRecord(frames=tuple(frames))
+        return TrackingRecord.of(self.frames, spread)
 
     def state_dict(self) -> dict[str, Any]:
         """Plain tensors and containers that `load_state_dict` continues from."""
@@ -132,12 +134,13 @@ class AlignTracker:
             "frames": [f.model_dump() for f in self.frames],
             "velocity": torch.from_numpy(self._velocity),
             "lost": self._lost,
+            "fit": self._fit,
         }
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
         self.graph.load_state_dict(state["graph"])
         self.frames = [TrackedFrame.model_validate(row) for row in state["frames"]]
-        self._velocity, self._lost = state["velocity"].numpy(), state["lost"]
+        self._velocity, self._lost, self._fit = state["velocity"].numpy(), state["lost"], state["fit"]
 
     # --- one frame ---------------------------------------------------------------------------------------------
     @property
@@ -171,8 +174,8 @@ class AlignTracker:
         found = None if self._lost else self._by_features(sighting, descriptors, expected)
         if found is not None:
             found = self._refined(found, sighting, readings)
-            return found, "weak" if _is_weak(found.information) else "tracked"
-        if not self._lost and readings is not None:
+            return found, "weak" if is_weak(found.information) else "tracked"
+        if readings is not None and not (self._lost and len(descriptors)):  # without features nothing else finds it
             found = self._by_surface(readings, expected)
             if found is not None:
                 return found, "weak"
@@ -215,6 +218,8 @@ class AlignTracker:
         if readings is not None:
             terms.append(surface_term(self.volume, readings))
         pose, information = minimise(found.pose, terms, JOINT_ITERATIONS)
+        if readings is not None:
+            self._fits(scaled(self.volume, readings, pose).scale)
         return _Found(pose, information, found.rows, found.numbers)
 
     def _by_surface(self, readings: Readings, expected: np.ndarray) -> _Found | None:
@@ -225,12 +230,24 @@ class AlignTracker:
         prior = prior_term(expected, np.diag([sigma_m**-2] * 3 + [sigma_rad**-2] * 3))
         pose, _ = minimise(expected, [surface_term(self.volume, readings, scale=_COARSE_SCALE), prior])
         readings = scaled(self.volume, readings, pose)
-        pose, information = minimise(pose, [surface_term(self.volume, readings), prior])
+        surface = surface_term(self.volume, readings)
+        pose, information = minimise(pose, [surface, prior])
         known, on_surface = agreement(self.volume, readings, pose)
-        if known < MIN_KNOWN or on_surface < MIN_ON_SURFACE:
+        if known < MIN_KNOWN or on_surface < MIN_ON_SURFACE or not self._fits(readings.scale):
             return None
         nothing = np.zeros(0, np.int64)
-        return _Found(pose, information, nothing, nothing)
+        # Motion must die out where nothing shows it; noise makes even a plain wall seem to hold the camera a little.
+        seen = surface(pose).information
+        shown = np.linalg.solve(information - (1 - _HELD) * seen, _HELD * seen)
+        return _Found(pose, information, nothing, nothing, shown)
+
+    def _fits(self, scale: float) -> bool:
+        """Whether readings lie about as near to the surface as usual; if so, what is usual follows."""
+        usual = scale if self._fit is None else self._fit
+        if scale > WORST_FIT * usual:
+            return False
+        self._fit = usual + _FIT_RATE * (scale - usual)
+        return True
 
     def _again(self, sighting: Sighting, descriptors: np.ndarray) -> _Found | None:
         """Relocalise against all keyframes."""
@@ -254,10 +271,12 @@ class AlignTracker:
             matches < config.keyframe_matches or angle(step) > config.keyframe_turn_rad or shift > config.keyframe_shift
         )
 
-    def _note(self, frame: Frame, status: Status, matches: int) -> None:
-        self.frames.append(
-            TrackedFrame(index=frame.index, timestamp=frame.timestamp, status=status, matches=matches)
-        )  # fmt: skip
+    def _note(self, frame: Frame, status: Status, found: _Found | None) -> None:
+        covariance = None
+        if found is not None:  # the frame that defines the world has none to it
+            covariance = (covariance_of(found.information) if self.graph.sightings else np.zeros((6, 6))).tolist()
+        facts = {"status": status, "matches": 0 if found is None else len(found.rows), "covariance": covariance}
+        self.frames.append(TrackedFrame(index=frame.index, timestamp=frame.timestamp, **facts))
 
     def _near(self, pose: np.ndarray, points: np.ndarray, uv: np.ndarray) -> np.ndarray:
         """(C, 2) pairs of features and points whose projection is near."""
@@ -275,9 +294,3 @@ class AlignTracker:
 
 def _far(step: np.ndarray) -> bool:
     return bool(np.linalg.norm(step[:3]) > _FARTHEST_M or np.linalg.norm(step[3:]) > _FARTHEST_RAD)
-
-
-def _is_weak(information: np.ndarray) -> bool:
-    """Whether some direction is known less well than it should."""
-    scaled = information * np.outer(*[np.repeat([WEAK_M, WEAK_RAD], 3)] * 2)  # in units where 1 is just good enough
-    return bool(np.linalg.eigvalsh(scaled)[0] < 1)

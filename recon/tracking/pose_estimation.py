@@ -15,6 +15,8 @@ from .motion import inverse, motion_between, moved
 MIN_INLIERS = 12
 _REPROJECTION_PX = 4.0
 _RANSAC_ITERATIONS = 300
+WEAK_M, WEAK_RAD = 0.02, 0.02  # 1 sigma of the direction that is known least
+_UNKNOWN = 1.0
 _SMALLEST_STEP = 1e-6  # metres and radians
 
 
@@ -52,6 +54,17 @@ def minimise(pose: np.ndarray, terms: Sequence[Term], iterations: int = 10) -> t
             if damping > 1e4:
                 break
     return pose, now.information
+
+
+def covariance_of(information: np.ndarray) -> np.ndarray:
+    """Covariance (6, 6) of a pose; a direction without information has a sigma of `_UNKNOWN` metres or radians."""
+    return np.linalg.inv((information + information.T) / 2 + np.eye(6) / _UNKNOWN**2)
+
+
+def is_weak(information: np.ndarray) -> bool:
+    """Whether some direction is known less well than it should."""
+    scaled = information * np.outer(*[np.repeat([WEAK_M, WEAK_RAD], 3)] * 2)  # in units where 1 is just good enough
+    return bool(np.linalg.eigvalsh(scaled)[0] < 1)
 
 
 def feature_term(camera: Camera, points: np.ndarray, observations: Observations) -> Term:

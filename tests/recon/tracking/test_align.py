@@ -267,7 +267,7 @@ def test_a_blank_wall_does_not_move_the_camera(walk, record):
     wall = Shot(np.full_like(walk[0].color, 180), np.full_like(walk[0].depth, 1.5), np.eye(4))
     result = track(record([wall] * 12))
     assert set(result.where("tracked")) <= {0}
-    assert result.ate_m([wall] * 12) < 0.01
+    assert result.ate_m([wall] * 12) < 0.03
 
 
 @pytest.mark.parametrize("blind", [range(8, 12), range(3)], ids=["middle", "first"])
@@ -277,7 +277,7 @@ def test_frames_without_depth(walk, record, blind):
     assert set(result.where("lost")) <= set(blind)
     if 0 in blind:
         assert result.where("lost") == list(blind)
-        np.testing.assert_allclose(result.poses[3], walk[0].pose, atol=1e-6)
+        np.testing.assert_allclose(result.poses[3], walk[3].pose, atol=1e-6)
     else:
         assert result.ate_m(walk) < 0.01
 
@@ -316,6 +316,6 @@ def test_one_or_two_frames(walk, record, count):
 def test_nothing_to_see_is_said(walk, record, method):
     """A data error with what to do, and no record of a map."""
     run = record([shot.blind().black() for shot in walk[:4]])
-    with pytest.raises(DataError):
+    with pytest.raises(DataError, match="lost in all 4 frames"):
         map_run(run, settings(method=method))
     assert "map" not in run.manifest.stages
