@@ -14,6 +14,7 @@ ROBUST_SCALE = 2.0  # sigmas
 MAX_APART = 5.0  # sigmas, beyond which two points are no pair
 MIN_COSINE = 0.5  # of the normals of a pair
 SHARE = 0.3  # how much of its information a residual counts: neighbours share most of their error
+_LEAST_SLANT = 0.1
 _FIRST_APART = 15.0  # sigmas, in the first pass
 _MIN_PAIRS, _MIN_SHARE = 200, 0.3  # of the points of the source
 _MAX_SHIFT_M, _MAX_TURN_RAD = 0.1, 0.1  # from where other evidence has it; beyond, the surfaces slid
@@ -55,7 +56,8 @@ def view_residuals(
     u, v = u[inside].astype(np.int64), v[inside].astype(np.int64)
     plane, there = target.normals[v, u], target.points[v, u]
     across = local[inside] - there
-    own = np.maximum(np.abs(plane[:, 2]), 0.2)  # an error of depth shows in the distance by this much
+    ray = there / np.maximum(there[:, 2:], 1e-6)
+    own = np.maximum(np.abs((plane * ray).sum(1)), _LEAST_SLANT)  # an error of depth shows in the distance by this much
     spread = np.hypot(target.sigma[v, u], sigma[inside]) * own
     r = (plane * across).sum(1) / spread
     facing = (plane * (normals[inside] @ rotation.T)).sum(1) > MIN_COSINE
