@@ -183,12 +183,14 @@ class KeyframeGraph:
         if place is None:
             return False
         off = inverse(view.pose) @ place.pose
-        if (np.linalg.norm(off[:3, 3]) > _JUMP_M or angle(off) > _JUMP_RAD) and not self._bend(place):
+        jumps = np.linalg.norm(off[:3, 3]) > _JUMP_M or angle(off) > _JUMP_RAD
+        if jumps and not self._bend(place):
             return False
         self.loops.append((place.keyframe, newest))
         self._align_surfaces(newest, [place.keyframe])
         self.landmarks.merge(view.landmark[place.rows], place.numbers)
-        self.adjust_globally(10)
+        if jumps:  # what is only joined is straightened by the local adjustments, and by the global one at the end
+            self.adjust_globally(10)
         return True
 
     def _bend(self, place: Place) -> bool:
