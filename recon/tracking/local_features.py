@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import cv2
 import numpy as np
 
 MAX_FEATURES = 1000
+_PIXELS = 160_000
 _CONTRAST = 0.02  # half of OpenCV's own threshold: plain walls have little
 _RATIO = 0.85  # of squared distances best / second best; beyond it a match is ambiguous
 
@@ -26,7 +28,7 @@ class LocalFeatures:
 
 def extract_features(color: np.ndarray, count: int = MAX_FEATURES) -> LocalFeatures:
     """color (H, W, 3) uint8 RGB -> at most about `count` features, the strongest; none in an image without texture."""
-    grey = cv2.cvtColor(color, cv2.COLOR_RGB2GRAY)
+    grey, step = _shrunk(cv2.cvtColor(color, cv2.COLOR_RGB2GRAY))
     sift = cv2.SIFT_create(count, 3, _CONTRAST, 10, 1.6, enable_precise_upscale=True)
     keypoints, descriptors = sift.detectAndCompute(grey, None)
     if not keypoints:
@@ -35,7 +37,18 @@ def extract_features(color: np.ndarray, count: int = MAX_FEATURES) -> LocalFeatu
     sizes = np.array([keypoints[i].size for i in kept])
     descriptors = descriptors[kept]
     descriptors = np.sqrt(descriptors / np.maximum(descriptors.sum(1, keepdims=True), 1e-9))
-    return LocalFeatures(uv, 0.4 + 0.08 * sizes, descriptors)
+    return LocalFeatures((uv + 0.5) * step - 0.5, (0.4 + 0.08 * sizes) * step, descriptors)
+
+
+def _shrunk(grey: np.ndarray) -> tuple[np.ndarray, int]:
+    """(H, W) at most `_PIXELS` large, each pixel the mean of `step` x `step`; and the step.
+
+    SIFT doubles the image before anything else: of a large one from a camera that finds little but noise.
+    """
+    step = max(1, math.ceil(math.sqrt(grey.size / _PIXELS)))
+    height, width = grey.shape[0] // step, grey.shape[1] // step
+    whole = grey[: height * step, : width * step]
+    return (cv2.resize(whole, (width, height), interpolation=cv2.INTER_AREA) if step > 1 else grey), step
 
 
 def no_features() -> LocalFeatures:

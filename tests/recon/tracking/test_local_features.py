@@ -75,3 +75,12 @@ def test_near_pairs_are_near_and_alike():
     assert match_near(similarity, near, 0.9).shape == (0, 2)
     assert match_near(similarity, near[:0]).shape == (0, 2)
     assert match_near(np.zeros((0, 3)), near[:0]).shape == (0, 2)
+
+
+def test_features_of_a_large_image_lie_where_they_lie_in_the_small_one(texture):
+    small = texture[:240, :320]
+    large = small.repeat(3, axis=0).repeat(3, axis=1)
+    found, expected = extract_features(large), extract_features(small)
+    assert len(found) == len(expected) > 50
+    np.testing.assert_allclose(found.uv, (expected.uv + 0.5) * 3 - 0.5)
+    np.testing.assert_allclose(found.sigma_px, expected.sigma_px * 3)
