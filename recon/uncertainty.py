@@ -14,7 +14,7 @@ from .losses import laplace_nll
 from .noise_features import FEATURES
 
 START_BETA_M = 0.05  # before anything is learned
-PIXELS = 65536  # evaluated at a time
+PIXELS = 8192  # evaluated at a time: what the layers pass on then stays in the cache
 
 
 class NoiseModel(nn.Module):

@@ -20,7 +20,7 @@ from .motion import cross_matrix, inverse, moved, transform
 from .pose_edges import PoseEdges, linearise_edges
 
 PIXEL_SCALE = 2.0  # residuals, in sigmas, beyond which an observation loses influence (Cauchy)
-DEPTH_SCALE = 2.0
+DEPTH_SCALE = 1.0  # depth errs with longer tails than pixels
 _MIN_Z_M = 0.05
 
 
