@@ -27,7 +27,7 @@ from .storage import read_image, write_image
 from .views import View
 
 INSTALL_HINT = "sudo apt-get install -y libvulkan1 mesa-vulkan-drivers"
-_START_SECONDS = 30.0  # importing and opening the renderer; it takes 2 to 3
+_START_SECONDS = 120.0  # a loaded machine needs long to start a driver; only a hang takes all of it
 _SECONDS_PER_PICTURE = 4.0  # it takes 0.5 at 960 x 720 with a software driver
 _TRIANGLES_AT_ONCE = 2_000_000  # triangles that one process may hold, over all its pictures
 
