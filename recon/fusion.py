@@ -105,9 +105,10 @@ class FusionVolume:
         self.sums[empty] = 0.0
         self.color_sums[empty] = 0.0
 
-    def sdf(self) -> Tensor:
-        """(R,) mean signed distance in metres, 0 where there is no reading."""
-        return self.sums[:, 1] / self.sums[:, 0].clamp(min=1e-12)
+    def sdf(self, rows: Tensor | slice = ALL) -> Tensor:
+        """(R,) mean signed distance in metres, 0 where there is no reading; or of some `rows` (...)."""
+        sums = self.sums[rows]
+        return sums[..., 1] / sums[..., 0].clamp(min=1e-12)
 
     def spread(self, rows: Tensor | slice = ALL) -> Tensor:
         """(R,) standard deviation of the readings of each sample, metres; or of some `rows` (...)."""

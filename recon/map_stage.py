@@ -147,7 +147,7 @@ def _reconstruct(run, frames, indices, config, checkpoint, on_event):
 
 def _reconstruct_open3d(run, frames, indices, config, on_event):
     began = time.time()
-    tracker = choose_tracker(frames, indices, config, None)
+    tracker = choose_tracker(frames, config, None)
     poses = _track_alone(frames, indices, tracker, on_event) if config.tracking.enabled else None
     tracked = time.time()
     field, poses = fuse_open3d(frames, indices, config, on_event, poses)

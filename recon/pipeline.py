@@ -77,7 +77,7 @@ def reconstruct(
     field is refined by rendering, and beta maps are written.
     """
     mapper = Mapper(frames.camera, frames.sensors, config, choose_device(config.device))
-    tracker = choose_tracker(frames, indices, config, mapper)
+    tracker = choose_tracker(frames, config, mapper)
     sweeps = max(config.fusion.sweeps, int(config.tracking.enabled))  # poses that moved need one more
     progress = _restore(checkpoint, mapper, tracker, on_event)
     for sweep in range(progress.sweep, 1 + sweeps):
@@ -115,7 +115,7 @@ def choose_device(name: str) -> torch.device:
     return torch.device("cuda" if name != "cpu" and torch.cuda.is_available() else "cpu")
 
 
-def choose_tracker(frames: RunFrames, indices: list[int], config: MapConfig, mapper: Mapper | None) -> Tracker:
+def choose_tracker(frames: RunFrames, config: MapConfig, mapper: Mapper | None) -> Tracker:
     """The tracker that `config` asks for; one without `mapper` has no map to look at."""
     if not config.tracking.enabled:
         return GivenPoses()
@@ -139,8 +139,11 @@ def _explore(view: View, frames: RunFrames, mapper: Mapper, tracker: Tracker, pr
 
 
 def _follow(frames: RunFrames, mapper: Mapper, tracker: Tracker) -> None:
-    """Frames whose camera was moved by what was seen later, by a loop above all, are fused again from there."""
-    if not mapper.config.tracking.enabled:
+    """Frames whose camera was moved by what was seen later, by a loop above all, are fused again from there.
+
+    Only a keyframe moves others.
+    """
+    if not mapper.config.tracking.enabled or not tracker.is_keyframe():
         return
     poses = {index: mapper.pose(pose) for index, pose in tracker.poses().items()}
     moved = mapper.log.moved(poses, mapper.config.fusion.voxel_size_m)

@@ -17,10 +17,10 @@ Status = Literal["tracked", "weak", "lost", "relocalised"]
 
 class TrackedFrame(BaseModel):
     """status      tracked: well determined; weak: some direction is held by the motion of the frames around it;
-                   lost: no pose, nothing fused; relocalised: found again after it was lost
+                   lost: no pose, nothing fused; relocalised: found among all keyframes
     covariance  (6, 6) of the small motion x in T_world_camera @ exp(x): 3 of translation, metres, then 3 of
                 rotation, radians, in the axes of the camera, against the first keyframe, whose own is zero; None
-                where the camera is lost or too few features hold it
+                where the camera is lost
     matches     features that agree with the pose; 0 where the surface alone holds it
     """
 

@@ -20,7 +20,7 @@ from ..uncertainty import NoiseModel
 from .keyframe_graph import KeyframeGraph
 from .landmarks import Sighting
 from .local_features import match, match_near
-from .motion import angle, inverse, motion_between, moved, transform
+from .motion import angle, exceeds, inverse, motion_between, moved, transform
 from .pose_estimation import MIN_INLIERS, covariance_of, feature_term, is_weak, minimise, prior_term, ransac_pose
 from .sightings import Prepared, prepare, readings_of, sight, surface_view, weigh
 from .surface_alignment import Readings, agreement, scaled, surface_term
@@ -192,7 +192,7 @@ class AlignTracker:
         if first is None:
             return None
         pose, kept = first
-        if len(kept) < SURE_MATCHES and _far(motion_between(expected, pose)):
+        if len(kept) < SURE_MATCHES and exceeds(inverse(expected) @ pose, _FARTHEST_M, _FARTHEST_RAD):
             return None
         pose, _ = minimise(pose, [feature_term(self.camera, points, sighting.observations(*pairs[kept].T))])
         pairs = match_near(similarity, self._near(pose, points, sighting.uv))
@@ -290,7 +290,3 @@ class AlignTracker:
         """(N, 3) points in camera axes -> (N, 2) pixels; meaningless behind the camera."""
         focal, centre = np.array([self.camera.fx, self.camera.fy]), np.array([self.camera.cx, self.camera.cy])
         return focal * local[:, :2] / np.maximum(local[:, 2:], 1e-6) + centre
-
-
-def _far(step: np.ndarray) -> bool:
-    return bool(np.linalg.norm(step[:3]) > _FARTHEST_M or np.linalg.norm(step[3:]) > _FARTHEST_RAD)

@@ -8,10 +8,10 @@ import numpy as np
 import torch
 
 from ..camera import Camera
-from .bundle_adjustment import adjust, covariances, without_outliers
+from .bundle_adjustment import Observations, adjust, covariances, without_outliers
 from .landmarks import NONE, Landmarks, Sighting, observations_of, seen_at_least
 from .loops import Place, corrected_poses, recognise
-from .motion import angle, inverse, transform
+from .motion import angle, exceeds, inverse, transform
 from .pose_edges import PoseEdges
 from .view_alignment import SurfaceView, align_views
 
@@ -36,15 +36,13 @@ class KeyframeGraph:
         self.sightings: list[Sighting] = []
         self.keyframes: list[int] = []
         self.views: dict[int, SurfaceView] = {}  # of the keyframes
-        self.edges: list[
-            tuple[int, int, np.ndarray, np.ndarray]
-        ] = []  # positions, motion and information between views
+        self.edges: list[tuple[int, int, np.ndarray, np.ndarray]] = []  # positions, motion between views, information
         self.landmarks = Landmarks()
         self.loops: list[tuple[int, int]] = []  # earlier and later keyframe
 
-    def add(self, sighting: Sighting, descriptors: np.ndarray, view: SurfaceView | None) -> bool:
+    def add(self, sighting: Sighting, descriptors: np.ndarray, view: SurfaceView | None) -> None:
         """Remember a frame; one with a `view` of the surface is a keyframe: it lends its unmatched features, where they
-        have depth, as new landmarks, and what was seen before is made consistent. Returns whether a loop was closed."""
+        have depth, as new landmarks, and what was seen before is made consistent."""
         self.sightings.append(sighting)
         newest = len(self.sightings) - 1
         if view is not None:
@@ -53,10 +51,10 @@ class KeyframeGraph:
             self.views[newest] = view
         sighting.forget_unmatched()
         if view is None or len(self.keyframes) < 2:
-            return False
+            return
         self._align_surfaces(newest, self.keyframes[-1 - NEIGHBOURS : -1])
         self._adjust_locally()
-        return self._close_loop()
+        self._close_loop()
 
     def numbers(self, position: int) -> np.ndarray:
         """The landmarks (K,) that a frame sees, distinct."""
@@ -76,12 +74,11 @@ class KeyframeGraph:
     def adjust_globally(self, iterations: int = 30) -> None:
         """Bundle adjustment of the whole recording: some cameras with all points, then the frames between them."""
         strong = self._strong()
-        stride = -(-len(strong) // _MAX_CAMERAS) or 1
-        cameras = sorted({*strong[::stride], *self.keyframes}) if stride > 1 else strong
+        cameras = self._cameras(strong)
         if len(cameras) < 2:
             return
         before = {k: self.sightings[k].pose for k in self.keyframes}
-        self._adjust(cameras, np.array([p != self.keyframes[0] for p in cameras]), iterations)
+        self._adjust(cameras, self._all_but_first(cameras), iterations)
         others = sorted(set(strong) - set(cameras))
         if others:
             self._adjust(others, np.ones(len(others), bool), 10, free_points=False)
@@ -91,17 +88,13 @@ class KeyframeGraph:
         """Covariance (6, 6) of each frame's pose, metres and radians, against the first keyframe (zero for that one),
         by position; of the frames that enough features hold."""
         strong = self._strong()
-        stride = -(-len(strong) // _MAX_CAMERAS) or 1
-        cameras = sorted({*strong[::stride], *self.keyframes}) if stride > 1 else strong
+        cameras = self._cameras(strong)
         if len(cameras) < 2:
             return {}
-        sightings = [self.sightings[p] for p in cameras]
-        observations, numbers = observations_of(sightings, self.landmarks)
-        poses, points = np.stack([s.pose for s in sightings]), self.landmarks.points[numbers]
-        observations = without_outliers(self.camera, poses, points, observations, _OUTLIER)
+        poses, points, observations, _ = self._seen_by(cameras, _OUTLIER)
         observations = observations[seen_at_least(observations, 2)]
-        free = np.array([p != self.keyframes[0] for p in cameras])
-        found = covariances(self.camera, poses, points, observations, free, self._edges_among(cameras))
+        free, edges = self._all_but_first(cameras), self._edges_among(cameras)
+        found = covariances(self.camera, poses, points, observations, free, edges)
         nearest = np.searchsorted(cameras, strong).clip(max=len(cameras) - 1)
         return {p: found[i] for p, i in zip(strong, nearest, strict=True)}
 
@@ -172,7 +165,7 @@ class KeyframeGraph:
             free[int(np.argmin(cameras))] = False
         self._adjust(cameras, free, _LOCAL_ITERATIONS)
 
-    def _close_loop(self) -> bool:
+    def _close_loop(self) -> None:
         """Look for the newest keyframe's view among those that are no neighbours of it; join and straighten."""
         newest = self.keyframes[-1]
         view, numbers = self.sightings[newest], self.numbers(newest)
@@ -181,17 +174,15 @@ class KeyframeGraph:
         current = self.landmarks.current(view.landmark)
         place = self.recognise(view, self.landmarks.descriptors[current], neighbours)
         if place is None:
-            return False
-        off = inverse(view.pose) @ place.pose
-        jumps = np.linalg.norm(off[:3, 3]) > _JUMP_M or angle(off) > _JUMP_RAD
+            return
+        jumps = exceeds(inverse(view.pose) @ place.pose, _JUMP_M, _JUMP_RAD)
         if jumps and not self._bend(place):
-            return False
+            return
         self.loops.append((place.keyframe, newest))
         self._align_surfaces(newest, [place.keyframe])
         self.landmarks.merge(view.landmark[place.rows], place.numbers)
         if jumps:  # what is only joined is straightened by the local adjustments, and by the global one at the end
             self.adjust_globally(10)
-        return True
 
     def _bend(self, place: Place) -> bool:
         """Spread the error of a loop over the keyframes; landmarks and frames move with theirs.
@@ -205,7 +196,7 @@ class KeyframeGraph:
         loops.append((order[earlier], order[later], inverse(before[earlier]) @ place.pose))
         poses = corrected_poses(np.stack([before[k] for k in self.keyframes]), loops)
         left = inverse(loops[-1][2]) @ inverse(poses[order[earlier]]) @ poses[order[later]]
-        if np.linalg.norm(left[:3, 3]) > _LEFT_M or angle(left) > _LEFT_RAD:
+        if exceeds(left, _LEFT_M, _LEFT_RAD):
             return False
         owner = np.full(len(self.landmarks), NONE)
         for k in reversed(self.keyframes):  # a landmark belongs to the first keyframe that saw it
@@ -226,31 +217,44 @@ class KeyframeGraph:
                 sighting.pose = self.sightings[keyframe].pose @ inverse(before[keyframe]) @ sighting.pose
 
     def _adjust(self, positions: list[int], free: np.ndarray, iterations: int, free_points: bool = True) -> None:
-        sightings = [self.sightings[p] for p in positions]
-        observations, numbers = observations_of(sightings, self.landmarks)
-        poses, points = np.stack([s.pose for s in sightings]), self.landmarks.points[numbers]
-        observations = without_outliers(self.camera, poses, points, observations, 3 * _OUTLIER)
+        poses, points, observations, numbers = self._seen_by(positions, 3 * _OUTLIER)
         if free_points:
             observations = observations[seen_at_least(observations, 2)]
         if len(observations) == 0:
             return
         first = max(2, iterations // 2)
-        edges = self._edges_among(positions)
-        settings = {"free_points": free_points, "edges": edges}
+        settings = {"free_points": free_points, "edges": self._edges_among(positions)}
         result = adjust(self.camera, poses, points, observations, free, iterations=first, **settings)
         kept = without_outliers(self.camera, result.poses, result.points, observations, _OUTLIER)
         result = adjust(self.camera, result.poses, result.points, kept, free, iterations=iterations - first, **settings)
-        for sighting, pose, moves in zip(sightings, result.poses, free, strict=True):
+        for position, pose, moves in zip(positions, result.poses, free, strict=True):
             if moves:
-                sighting.pose = pose
+                self.sightings[position].pose = pose
         if free_points:
             seen = np.unique(kept.point)
             self.landmarks.points[numbers[seen]] = result.points[seen]
+
+    def _seen_by(self, positions: list[int], limit: float) -> tuple[np.ndarray, np.ndarray, Observations, np.ndarray]:
+        """Poses (C, 4, 4) of frames, the points (P, 3) they see, the observations within `limit` sigmas, and the number
+        (P,) of each point's landmark."""
+        sightings = [self.sightings[p] for p in positions]
+        observations, numbers = observations_of(sightings, self.landmarks)
+        poses, points = np.stack([s.pose for s in sightings]), self.landmarks.points[numbers]
+        return poses, points, without_outliers(self.camera, poses, points, observations, limit), numbers
 
     # --- neighbourhood -----------------------------------------------------------------------------------------
     def _strong(self) -> list[int]:
         """Positions of the frames that enough features hold."""
         return [p for p, s in enumerate(self.sightings) if (s.landmark >= 0).sum() >= _MIN_FEATURES]
+
+    def _cameras(self, strong: list[int]) -> list[int]:
+        """Those of the frames `strong` that are adjusted together with all points: all, or keyframes and every n-th."""
+        stride = -(-len(strong) // _MAX_CAMERAS) or 1
+        return sorted({*strong[::stride], *self.keyframes}) if stride > 1 else strong
+
+    def _all_but_first(self, positions: list[int]) -> np.ndarray:
+        """(C,) which of the frames are not the first keyframe, which holds the world."""
+        return np.array([p != self.keyframes[0] for p in positions])
 
     def _covisible(self, numbers: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """For each keyframe, how many of the landmarks `numbers` it sees; positions and counts, most first."""

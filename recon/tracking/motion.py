@@ -42,6 +42,11 @@ def angle(poses: np.ndarray) -> np.ndarray:
     return np.arccos(np.clip((np.trace(poses[..., :3, :3], axis1=-2, axis2=-1) - 1) / 2, -1, 1))
 
 
+def exceeds(transform: np.ndarray, metres: float, radians: float) -> bool:
+    """Whether a rigid transform (4, 4) shifts or turns by more than that."""
+    return bool(np.linalg.norm(transform[:3, 3]) > metres or angle(transform) > radians)
+
+
 def cross_matrix(vectors: np.ndarray) -> np.ndarray:
     """(..., 3) -> (..., 3, 3), so that cross_matrix(a) @ b = a x b."""
     x, y, z = np.moveaxis(vectors, -1, 0)

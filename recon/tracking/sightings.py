@@ -87,25 +87,23 @@ def surface_view(
 ) -> SurfaceView:
     """The surface as the frame sees it; of several sensors the most certain one at each pixel."""
     grid = (slice(None, None, prepared.stride), slice(None, None, prepared.stride))
-    best = sigma = normal = None
+    depths, sigmas = [], []
     for (sensor, image), model in zip(frame.depths.items(), noise, strict=True):
         depth = image[grid]
-        own = prepared.normals[sensor]
         inputs = noise_features[sensor][grid].reshape(depth.numel(), -1) if sensor in noise_features else None
         spread = math.sqrt(2) * _beta(depth.reshape(-1), inputs, model).view(depth.shape).numpy()
-        usable = ((depth > 0) & (depth < max_depth_m)).numpy() & (np.abs(own).sum(-1) > 0)
-        spread = np.where(usable, spread, np.inf)
-        if best is None:
-            best, sigma, normal = depth.numpy().copy(), spread, own.copy()
-        else:
-            better = spread < sigma
-            best[better], sigma[better], normal[better] = depth.numpy()[better], spread[better], own[better]
-    height, width = best.shape
+        usable = ((depth > 0) & (depth < max_depth_m)).numpy() & (np.abs(prepared.normals[sensor]).sum(-1) > 0)
+        depths.append(depth.numpy())
+        sigmas.append(np.where(usable, spread, np.inf))
+    best = np.argmin(sigmas, axis=0)[None]
+    depth, sigma = (np.take_along_axis(np.stack(images), best, 0)[0] for images in (depths, sigmas))
+    normal = np.take_along_axis(np.stack([prepared.normals[s] for s in frame.depths]), best[..., None], 0)[0]
+    height, width = depth.shape
     thinned = Camera(
         width, height, camera.fx / prepared.stride, camera.fy / prepared.stride, camera.cx / prepared.stride,
         camera.cy / prepared.stride,
     )  # fmt: skip
-    return SurfaceView(thinned, thinned.rays().numpy() * best[..., None], normal, sigma)
+    return SurfaceView(thinned, thinned.rays().numpy() * depth[..., None], normal, sigma)
 
 
 def readings_of(

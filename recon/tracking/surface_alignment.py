@@ -61,8 +61,7 @@ def surface_residuals(volume: FusionVolume, readings: Readings, pose: np.ndarray
     world = readings.points @ T[:3, :3].T + T[:3, 3]
     rows, weights, slopes, kept = _known_cells(volume, world)
     points = readings.points[kept]
-    sums = volume.sums[rows]
-    sdf, gradient = _interpolated(sums[..., 1] / sums[..., 0], weights, slopes)
+    sdf, gradient = _interpolated(volume.sdf(rows), weights, slopes)
     along = (gradient * (readings.directions[kept] @ T[:3, :3].T)).sum(-1)
     map_sigma = (volume.sigma(rows) * weights).sum(-1)
     sigma = readings.scale * (2 * (readings.beta[kept] * along) ** 2 + map_sigma**2).sqrt()

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..camera import Camera
-from .motion import angle, inverse
+from .motion import exceeds, inverse
 from .pose_estimation import Linearised, Term, minimise
 
 ROBUST_SCALE = 2.0  # sigmas
@@ -99,7 +99,7 @@ def align_views(
     off = inverse(T_target_source) @ found
     r, _ = view_residuals(target, source, found)
     enough = len(r) >= max(_MIN_PAIRS, _MIN_SHARE * source.valid.sum())
-    if not enough or np.linalg.norm(off[:3, 3]) > _MAX_SHIFT_M or angle(off) > _MAX_TURN_RAD:
+    if not enough or exceeds(off, _MAX_SHIFT_M, _MAX_TURN_RAD):
         return None
     spread = max(1.48 * float(np.median(np.abs(r))), 1.0)
     return found, information * (SHARE / spread**2)
