@@ -49,12 +49,11 @@ class Observations:
 
 @dataclass(frozen=True)
 class Adjusted:
-    """poses (C, 4, 4), points (P, 3), cost at the end; `information` (C, 6, 6) of each pose if the points are true."""
+    """poses (C, 4, 4), points (P, 3), cost at the end."""
 
     poses: np.ndarray
     points: np.ndarray
     cost: float
-    information: np.ndarray
 
 
 @dataclass(frozen=True)
@@ -96,7 +95,7 @@ def adjust(
         damping = max(damping / 5, 1e-7)
         if gain < 1e-5 * now.cost:
             break
-    return Adjusted(poses, points, now.cost, now.U)
+    return Adjusted(poses, points, now.cost)
 
 
 def covariances(
