@@ -6,20 +6,39 @@ distances; with the weights 1 / beta^2 of the learned uncertainty it is the maxi
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import torch
 from torch import Tensor
 from torch.nn.functional import max_pool2d
 
 from .camera import Camera
 from .grid import BLOCK, ROWS, SparseGrid
+from .integration import MIN_Z_M, Bounds, Observation, integrate
 
 _TILE = 16  # pixels: occlusion is decided on tiles
-_BLOCKS_AT_A_TIME = 2048
-_MIN_Z_M = 0.05
 _SPARE = 1.5
 SHARED_ERROR = 0.15
 MIN_SIGMA_M = 1e-3
 ALL = slice(None)
+
+
+@dataclass(frozen=True)
+class FreeSpace:
+    """What the readings of an image say about the space before them: weight (H, W), and doubt_m (H, W) metres.
+
+    That nothing is there is a different claim than where the surface is. It is the surer the further the sample lies
+    before the reading, on the scale of the reading's own noise: weight * (1 - exp(-distance / doubt_m)).
+    """
+
+    weight: Tensor
+    doubt_m: Tensor
+
+    @staticmethod
+    def of(weight: Tensor, typical: float, doubt_m: Tensor) -> FreeSpace:
+        """A noisy reading still knows that it looked through: its `weight` is drawn half way (geometric mean) to the
+        `typical` one of its image."""
+        return FreeSpace((weight * typical).sqrt(), doubt_m)
 
 
 class FusionVolume:
@@ -70,7 +89,7 @@ class FusionVolume:
         weight: Tensor | None,
         color: Tensor | None,
         T_world_camera: Tensor,
-        doubt_m: Tensor | None = None,
+        free_space: FreeSpace | None = None,
         take_out_of: int | None = None,
     ) -> None:
         """Add one depth image: depth (H, W) metres, weight (H, W) or None = 1, color (H, W, 3) uint8 or None.
@@ -78,26 +97,18 @@ class FusionVolume:
         With `take_out_of`, the number of blocks there were when the same image was added, it is taken out again.
 
         Every allocated block in view takes part, so that a reading also speaks for the free space before it. How
-        loudly it does is its weight again, or, with `doubt_m` (H, W), what `free_space_weight` makes of it.
+        loudly it does is its weight again, or, with `free_space`, what that says.
         """
         T_camera_world = torch.linalg.inv(T_world_camera.double()).float()
-        typical = None if weight is None or doubt_m is None else _median(weight, depth > 0)
         sign, visible = 1.0, self._visible(depth, T_camera_world)
         if take_out_of is not None:
             sign, visible = -1.0, visible[visible < take_out_of]
-        for ids in visible.split(_BLOCKS_AT_A_TIME):
-            rows, pixels, sdf = self._readings(ids, depth, T_camera_world)
-            w = torch.ones_like(sdf) if weight is None else weight.view(-1)[pixels]
-            if typical is not None:
-                beyond = sdf - self.truncation_m
-                free = free_space_weight(w, typical, beyond, doubt_m.view(-1)[pixels])
-                w = torch.where(beyond >= 0, free, w)
-            sdf = sdf.clamp(max=self.truncation_m)
-            self.sums[rows] += sign * torch.stack([w, w * sdf, w * sdf * sdf, torch.ones_like(sdf)], -1)
-            if color is not None:
-                near = sdf.abs() < 0.5 * self.truncation_m
-                rows, w, rgb = rows[near], w[near, None], color.view(-1, 3)[pixels[near]].float()
-                self.color_sums[rows] += sign * torch.cat([w, w * rgb], -1)
+        free = (None, None) if free_space is None or weight is None else (free_space.weight, free_space.doubt_m)
+        integrate(
+            self.sums, self.color_sums, visible, self.grid.blocks[visible].float() * self.grid.block_size_m,
+            self.grid.inner_offsets(), Observation(depth, weight, *free, color, T_camera_world), self.camera,
+            Bounds(self.truncation_m, self.max_depth_m), sign,
+        )  # fmt: skip
 
     def clear_empty(self) -> None:
         """Set samples that have no reading left, but for rounding, to exactly nothing."""
@@ -147,7 +158,7 @@ class FusionVolume:
         radius = half * 3**0.5
         centres = self.grid.blocks.float() * self.grid.block_size_m + half
         u, v, z = self.camera.project(centres @ T_camera_world[:3, :3].T + T_camera_world[:3, 3])
-        reach = radius * max(self.camera.fx, self.camera.fy) / z.clamp(min=_MIN_Z_M)
+        reach = radius * max(self.camera.fx, self.camera.fy) / z.clamp(min=MIN_Z_M)
         seen = (u > -reach) & (u < self.camera.width + reach) & (v > -reach) & (v < self.camera.height + reach)
         seen &= (z > -radius) & (z < self.max_depth_m + self.truncation_m + radius)
         usable = torch.where(depth < self.max_depth_m, depth, 0.0)[None, None]
@@ -157,41 +168,6 @@ class FusionVolume:
         tile_v = (v / _TILE).long().clamp(0, farthest.shape[0] - 1)
         seen &= (reach > 2 * _TILE) | (z - radius < farthest[tile_v, tile_u] + self.truncation_m)
         return seen.nonzero()[:, 0]
-
-    def _readings(self, ids: Tensor, depth: Tensor, T_camera_world: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-        """For the samples of blocks `ids` that get a reading: their rows, the pixel of it, and the truncated sdf."""
-        camera, rotation = self.camera, T_camera_world[:3, :3]
-        corner = (self.grid.blocks[ids].float() * self.grid.block_size_m) @ rotation.T + T_camera_world[:3, 3]
-        inner = self.grid.inner_offsets() @ rotation.T
-        x, y, z = (corner[:, axis, None] + inner[:, axis] for axis in range(3))
-        inverse = 1 / z.clamp(min=1e-3)
-        u = (x * inverse * camera.fx + (camera.cx + 0.5)).floor_()
-        v = (y * inverse * camera.fy + (camera.cy + 0.5)).floor_()
-        inside = (u >= 0) & (u < camera.width) & (v >= 0) & (v < camera.height) & (z > _MIN_Z_M)
-        samples = inside.view(-1).nonzero()[:, 0]
-        pixels = (v.view(-1)[samples] * camera.width + u.view(-1)[samples]).long()
-        reading = depth.reshape(-1)[pixels]
-        sdf = reading - z.view(-1)[samples]
-        kept = (reading > 0) & (reading < self.max_depth_m) & (sdf > -self.truncation_m)
-        samples, pixels = samples[kept], pixels[kept]
-        rows = ids[samples // ROWS] * ROWS + samples % ROWS
-        return rows, pixels, sdf[kept]
-
-
-def free_space_weight(weight: Tensor, typical: Tensor, beyond_m: Tensor, doubt_m: Tensor) -> Tensor:
-    """How much a reading says about a sample `beyond_m` (N,) metres before its truncation band.
-
-    That nothing is there is a different claim than where the surface is. It is the surer the further the sample lies
-    before the reading, on the scale of the reading's own noise (`doubt_m`); and a noisy reading still knows that it
-    looked through: its weight is drawn half way (geometric mean) to the `typical` one of its image.
-    """
-    sure = 1 - torch.exp(-beyond_m.clamp(min=0) / doubt_m.clamp(min=1e-6))
-    return (weight * typical).sqrt() * sure
-
-
-def _median(values: Tensor, valid: Tensor) -> Tensor | None:
-    chosen = values[valid]
-    return chosen.median() if len(chosen) else None
 
 
 def _extended(rows: Tensor, count: int) -> Tensor:

@@ -11,7 +11,7 @@ from torch import Tensor
 from .camera import Camera
 from .config import MapConfig
 from .frame import Frame
-from .fusion import FusionVolume
+from .fusion import FreeSpace, FusionVolume
 from .fusion_log import FusionLog
 from .grid import SparseGrid
 from .keyframes import KeyframeSelector, RayStore
@@ -85,13 +85,22 @@ class Mapper:
         color = frame.color.to(self.device)
         betas = {}
         for sensor, depth in frame.depths.items():
-            depth, weight, doubt_m = depth.to(self.device), None, None
+            depth, weight, free_space = depth.to(self.device), None, None
             if self.config.uncertainty.enabled:
                 betas[sensor] = noise[sensor].beta_image(depth, features[sensor].to(self.device))
-                weight = _with_floor(self.weight(betas[sensor]), depth > 0)
-                doubt_m = DOUBT_BETAS * betas[sensor]
-            self.volume.integrate(depth, weight, color, T_world_camera, doubt_m, take_out_of)
+                weight, free_space = self._weights(betas[sensor], depth > 0)
+            self.volume.integrate(depth, weight, color, T_world_camera, free_space, take_out_of)
         return betas
+
+    def _weights(self, beta: Tensor, valid: Tensor) -> tuple[Tensor, FreeSpace]:
+        """beta (H, W) metres -> what its readings weigh, none below `WEIGHT_FLOOR` of their median.
+
+        A silhouette is noisy in every view; without a floor the steadier background behind it would outvote it away.
+        """
+        weight = self.weight(beta)
+        typical = _typical(weight, valid)
+        weight = weight.clamp(min=WEIGHT_FLOOR * typical)
+        return weight, FreeSpace.of(weight, typical, DOUBT_BETAS * beta)
 
     def pose(self, T_world_camera: Any) -> Tensor:
         """A (4, 4) matrix as the map takes it."""
@@ -201,9 +210,7 @@ class Mapper:
         self.generator.set_state(state["generator"].cpu())
 
 
-def _with_floor(weight: Tensor, valid: Tensor) -> Tensor:
-    """Weights (H, W) of an image, none below `WEIGHT_FLOOR` of their median.
-
-    A silhouette is noisy in every view; without a floor the steadier background behind it would outvote it away.
-    """
-    return weight.clamp(min=float(WEIGHT_FLOOR * weight[valid].median())) if bool(valid.any()) else weight
+def _typical(weight: Tensor, valid: Tensor) -> float:
+    """Median weight (H, W) of the `valid` readings; 0 if there is none."""
+    chosen = weight[valid].cpu().numpy()
+    return float(np.partition(chosen, (len(chosen) - 1) // 2)[(len(chosen) - 1) // 2]) if len(chosen) else 0.0

@@ -42,18 +42,14 @@ class NoiseModel(nn.Module):
     def forward(self, features: Tensor) -> Tensor:
         hidden = features
         for layer in self.layers[:-1]:
-            hidden = torch.relu(layer(hidden))
+            hidden = torch.relu_(layer(hidden))
         return self.config.beta_min_m + softplus(self.layers[-1](hidden)[..., 0])
 
     @torch.no_grad()
     def beta_image(self, depth: Tensor, features: Tensor) -> Tensor:
         """depth (H, W) metres, features (H, W, F) -> beta (H, W) metres, 0 where there is no reading."""
-        beta = torch.zeros(depth.numel(), device=depth.device)
-        pixels = (depth.reshape(-1) > 0).nonzero()[:, 0]
-        flat = features.reshape(-1, features.shape[-1])
-        for part in pixels.split(PIXELS):
-            beta[part] = self(flat[part])
-        return beta.view(depth.shape)
+        parts = features.reshape(-1, features.shape[-1]).split(PIXELS)
+        return torch.cat([self(part) for part in parts]).view(depth.shape) * (depth > 0)
 
     def learn(self, features: Tensor, residuals: Tensor, steps: int, generator: torch.Generator) -> float:
         """Minimise the Laplace likelihood of `residuals` (N,) metres given `features` (N, F); returns the last mean."""

@@ -6,7 +6,7 @@ import numpy as np
 import torch
 from uncle.recon.camera import Camera
 from uncle.recon.config import make_config
-from uncle.recon.fusion import MIN_SIGMA_M, SHARED_ERROR, FusionVolume, free_space_weight
+from uncle.recon.fusion import MIN_SIGMA_M, SHARED_ERROR, FreeSpace, FusionVolume
 from uncle.recon.grid import ROWS, SparseGrid
 from uncle.recon.mapper import Mapper
 from uncle.recon.recording import RunFrames
@@ -75,28 +75,10 @@ def test_weighted_mean_spread_count_and_sigma():
     assert volume.sigma().min() >= MIN_SIGMA_M * 0.999
 
 
-def test_free_space_weight_is_nothing_at_the_band_and_never_falls():
-    one = torch.ones(())
-    assert free_space_weight(one, one, torch.tensor([0.0, -0.1, -5.0]), one).eq(0).all()
-    found = free_space_weight(one, one, torch.linspace(0, 3, 100), torch.tensor(0.1))
-    assert (found.diff() >= 0).all()
-    assert (found.diff()[:30] > 0).all()
-    torch.testing.assert_close(free_space_weight(one, one, torch.tensor([0.1]), torch.tensor(0.1)),
-                               torch.tensor([1 - np.exp(-1)]).float())  # fmt: skip
-
-
-def test_free_space_weight_falls_with_doubt():
-    doubt = torch.tensor([0.0, 0.05, 0.1, 1.0, 100.0])
-    found = free_space_weight(torch.tensor(1.0), torch.tensor(1.0), torch.tensor(0.2), doubt)
-    assert float(found[0]) == 1.0  # a reading without noise is sure at once
-    assert (found.diff() < 0).all()
-    assert float(found[-1]) < 0.01
-
-
-def test_free_space_weight_is_the_geometric_mean_far_before_the_reading():
-    weight, typical = torch.tensor([1.0, 4.0, 0.04, 0.0]), torch.tensor(0.25)
-    found = free_space_weight(weight, typical, torch.full((4,), 50.0), torch.tensor(0.1))
-    torch.testing.assert_close(found, torch.tensor([0.5, 1.0, 0.1, 0.0]))
+def test_free_space_weight_is_the_geometric_mean():
+    weight = torch.tensor([[1.0, 4.0], [0.04, 0.0]])
+    found = FreeSpace.of(weight, 0.25, plane(0.1))
+    torch.testing.assert_close(found.weight, torch.tensor([[0.5, 1.0], [0.1, 0.0]]))
 
 
 def test_doubt_weakens_only_the_claim_on_free_space():
@@ -107,7 +89,7 @@ def test_doubt_weakens_only_the_claim_on_free_space():
     for made in (volume, plain):
         made.allocate(plane(1.2), torch.eye(4))
         made.allocate(plane(2.0), torch.eye(4))
-    volume.integrate(plane(2.0), weight, None, torch.eye(4), doubt)
+    volume.integrate(plane(2.0), weight, None, torch.eye(4), FreeSpace.of(weight, 1.0, doubt))
     plain.integrate(plane(2.0), weight, None, torch.eye(4))
     found, full = volume.sums[:, 0], plain.sums[:, 0]
     beyond = 2.0 - positions(volume)[:, 2] - TRUNCATION
@@ -126,11 +108,11 @@ def test_doubt_without_weights_or_without_readings_changes_nothing():
     volume, plain = make_volume(), make_volume()
     for made in (volume, plain):
         made.allocate(plane(1.2), torch.eye(4))
-    volume.integrate(plane(2.0), None, None, torch.eye(4), plane(0.3))
+    volume.integrate(plane(2.0), None, None, torch.eye(4), FreeSpace(plane(1.0), plane(0.3)))
     plain.integrate(plane(2.0), None, None, torch.eye(4))
     assert (plain.counts() > 0).any()
     assert torch.equal(volume.sums, plain.sums)
-    volume.integrate(plane(0.0), plane(1.0), None, torch.eye(4), plane(0.3))
+    volume.integrate(plane(0.0), plane(1.0), None, torch.eye(4), FreeSpace(plane(1.0), plane(0.3)))
     assert torch.equal(volume.sums, plain.sums)
 
 
@@ -257,7 +239,8 @@ def integrated(volume: FusionVolume, room, index: int, take_out_of: int | None =
     color = torch.randint(0, 255, (*depth.shape, 3), generator=generator, dtype=torch.uint8)
     if take_out_of is None:
         volume.allocate(depth, torch.from_numpy(pose).float())
-    volume.integrate(depth, weight, color, torch.from_numpy(pose).float(), 0.1 * weight, take_out_of)
+    free_space = FreeSpace.of(weight, 1.0, 0.1 * weight)
+    volume.integrate(depth, weight, color, torch.from_numpy(pose).float(), free_space, take_out_of)
 
 
 def test_what_is_taken_out_was_never_there(box_room):

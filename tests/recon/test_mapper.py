@@ -5,7 +5,7 @@ import torch
 from uncle.recon.camera import Camera
 from uncle.recon.config import make_config
 from uncle.recon.frame import Frame
-from uncle.recon.mapper import DOUBT_BETAS, WEIGHT_FLOOR, Mapper, _with_floor
+from uncle.recon.mapper import DOUBT_BETAS, WEIGHT_FLOOR, Mapper, _typical
 from uncle.recon.noise_features import FEATURES
 from uncle.recon.raycast import cast_rays
 
@@ -177,10 +177,19 @@ def test_state_continues_bit_for_bit():
 
 
 def test_weights_have_a_floor_below_the_typical_one_of_their_image():
-    weight, valid = torch.tensor([[0.001, 1.0, 3.0, 99.0]]), torch.tensor([[True, True, True, False]])
-    floored = _with_floor(weight, valid)[valid]
-    torch.testing.assert_close(floored, torch.tensor([WEIGHT_FLOOR * 1.0, 1.0, 3.0]))
-    assert _with_floor(weight, torch.zeros_like(valid)) is weight
+    mapper, valid = make_mapper("fusion.blur_voxels=0"), torch.tensor([[True, True, True, False]])
+    beta = torch.tensor([[1.0, 0.1, 0.05, 0.01]])  # the sharpest is no reading
+    typical = float(mapper.weight(torch.tensor(0.1)))
+    weight, free_space = mapper._weights(beta, valid)
+    torch.testing.assert_close(weight[valid] / typical, torch.tensor([WEIGHT_FLOOR, 1.0, 4.0]))
+    torch.testing.assert_close(free_space.weight[valid] / typical, torch.tensor([WEIGHT_FLOOR, 1.0, 4.0]).sqrt())
+    torch.testing.assert_close(free_space.doubt_m, DOUBT_BETAS * beta)
+    assert torch.equal(mapper._weights(beta, torch.zeros_like(valid))[0], mapper.weight(beta))
+
+
+def test_the_typical_weight_is_the_lower_median():
+    weight, everything = torch.tensor([[4.0, 1.0], [3.0, 2.0]]), torch.ones(2, 2, dtype=torch.bool)
+    assert _typical(weight, everything) == float(weight.median()) == 2.0
 
 
 def test_fusing_again_is_as_if_the_new_pose_had_been_known():
