@@ -71,8 +71,9 @@ class NeuralField(nn.Module):
         cls, volume: FusionVolume, min_readings: float, config: FieldConfig, generator: torch.Generator
     ) -> NeuralField:
         """The field that equals the fused map; samples with fewer than `min_readings` are unknown to it."""
-        base = torch.cat([volume.sdf()[:, None], volume.colors()], 1)
-        return cls(volume.grid, base, volume.sigma(), volume.counts() >= min_readings, config, generator)
+        fused = volume.samples()
+        base = torch.cat([fused.sdf[:, None], fused.colors], 1)
+        return cls(volume.grid, base, fused.sigma, volume.counts() >= min_readings, config, generator)
 
     def forward(self, points: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         """(N, 3) world points -> sdf (N,) metres, rgb (N, 3), known (N,) bool; sdf and rgb are 0 where unknown."""

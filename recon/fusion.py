@@ -41,6 +41,41 @@ class FreeSpace:
         return FreeSpace((weight * typical).sqrt(), doubt_m)
 
 
+@dataclass(frozen=True)
+class Samples:
+    """sums (..., 4) and color_sums (..., 4) of some samples of the map, and what follows from them."""
+
+    sums: Tensor
+    color_sums: Tensor
+
+    @property
+    def sdf(self) -> Tensor:
+        """(...) mean signed distance in metres, 0 where there is no reading."""
+        return _mean_sdf(self.sums)
+
+    @property
+    def spread(self) -> Tensor:
+        """(...) standard deviation of the readings, metres."""
+        mean_square = self.sums[..., 2] / self.sums[..., 0].clamp(min=1e-12)
+        return (mean_square - self.sdf**2).clamp(min=0).sqrt()
+
+    @property
+    def sigma(self) -> Tensor:
+        """(...) standard error of the mean distance, metres.
+
+        Readings of one place share part of their error (same sensor, same texture), so their number helps only up to a
+        point: the variance falls to `SHARED_ERROR` of one reading's, never below. Never better than `MIN_SIGMA_M`.
+        """
+        gain = SHARED_ERROR + (1 - SHARED_ERROR) / self.sums[..., 3].clamp(min=1)
+        return (self.spread.square() * gain).sqrt().clamp(min=MIN_SIGMA_M)
+
+    @property
+    def colors(self) -> Tensor:
+        """(..., 3) mean colour, 0..1; grey where none was seen."""
+        weight = self.color_sums[..., :1]
+        return torch.where(weight > 0, self.color_sums[..., 1:] / weight.clamp(min=1e-12) / 255, 0.5)
+
+
 class FusionVolume:
     """Running sums on a sparse grid.
 
@@ -116,35 +151,17 @@ class FusionVolume:
         self.sums[empty] = 0.0
         self.color_sums[empty] = 0.0
 
-    def sdf(self, rows: Tensor | slice = ALL) -> Tensor:
-        """(R,) mean signed distance in metres, 0 where there is no reading; or of some `rows` (...)."""
-        sums = self.sums[rows]
-        return sums[..., 1] / sums[..., 0].clamp(min=1e-12)
+    def samples(self, rows: Tensor | slice = ALL) -> Samples:
+        """What the readings of all samples, or of some `rows` (...), amount to."""
+        return Samples(self.sums[rows], self.color_sums[rows])
 
-    def spread(self, rows: Tensor | slice = ALL) -> Tensor:
-        """(R,) standard deviation of the readings of each sample, metres; or of some `rows` (...)."""
-        sums = self.sums[rows]
-        weight = sums[..., 0].clamp(min=1e-12)
-        return (sums[..., 2] / weight - (sums[..., 1] / weight) ** 2).clamp(min=0).sqrt()
-
-    def sigma(self, rows: Tensor | slice = ALL) -> Tensor:
-        """(R,) standard error of the mean distance, metres; or of some `rows` (...).
-
-        Readings of one place share part of their error (same sensor, same texture), so their number helps only up to a
-        point: the variance falls to `SHARED_ERROR` of one reading's, never below. Never better than `MIN_SIGMA_M`.
-        """
-        gain = SHARED_ERROR + (1 - SHARED_ERROR) / self.sums[rows][..., 3].clamp(min=1)
-        return (self.spread(rows).square() * gain).sqrt().clamp(min=MIN_SIGMA_M)
+    def sdf(self) -> Tensor:
+        """(R,) mean signed distance in metres, 0 where there is no reading."""
+        return _mean_sdf(self.sums)
 
     def counts(self) -> Tensor:
         """(R,) number of readings of each sample."""
         return self.sums[:, 3]
-
-    def colors(self, rows: Tensor | slice = ALL) -> Tensor:
-        """(R, 3) mean colour, 0..1; grey where none was seen; or of some `rows` (...)."""
-        sums = self.color_sums[rows]
-        weight = sums[..., :1]
-        return torch.where(weight > 0, sums[..., 1:] / weight.clamp(min=1e-12) / 255, 0.5)
 
     def _grow(self) -> None:
         missing = self.grid.rows - len(self.sums)
@@ -168,6 +185,10 @@ class FusionVolume:
         tile_v = (v / _TILE).long().clamp(0, farthest.shape[0] - 1)
         seen &= (reach > 2 * _TILE) | (z - radius < farthest[tile_v, tile_u] + self.truncation_m)
         return seen.nonzero()[:, 0]
+
+
+def _mean_sdf(sums: Tensor) -> Tensor:
+    return sums[..., 1] / sums[..., 0].clamp(min=1e-12)
 
 
 def _extended(rows: Tensor, count: int) -> Tensor:

@@ -42,7 +42,7 @@ def noise_features(depth: Tensor, normals: Tensor, color: Tensor, camera: Camera
     u = (np.arange(camera.width, dtype=np.float32) - camera.cx) / camera.width
     v = (np.arange(camera.height, dtype=np.float32) - camera.cy) / camera.height
     planes += [grey - 0.5, np.broadcast_to(u, metres.shape), np.broadcast_to(v[:, None], metres.shape)]
-    return torch.from_numpy(np.stack(planes, -1).astype(np.float32, copy=False))
+    return torch.from_numpy(np.stack(planes).astype(np.float32, copy=False)).permute(1, 2, 0)  # each plane in one piece
 
 
 def _neighbourhood(inverse: np.ndarray, valid: np.ndarray, window: int) -> list[np.ndarray]:

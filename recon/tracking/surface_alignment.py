@@ -13,7 +13,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from ..fusion import FusionVolume
+from ..fusion import FusionVolume, Samples
 from ..grid import CORNERS
 from .pose_estimation import Linearised, Term
 
@@ -59,15 +59,15 @@ def surface_residuals(volume: FusionVolume, readings: Readings, pose: np.ndarray
     """Whitened residuals (K,) of distance, then of colour, where the map is known, and their derivatives (K, 6)."""
     T = torch.tensor(pose, dtype=torch.float32, device=readings.points.device)
     world = readings.points @ T[:3, :3].T + T[:3, 3]
-    rows, weights, slopes, kept = _known_cells(volume, world)
+    corners, weights, slopes, kept = _known_cells(volume, world)
     points = readings.points[kept]
-    sdf, gradient = _interpolated(volume.sdf(rows), weights, slopes)
+    sdf, gradient = _interpolated(corners.sdf, weights, slopes)
     along = (gradient * (readings.directions[kept] @ T[:3, :3].T)).sum(-1)
-    map_sigma = (volume.sigma(rows) * weights).sum(-1)
+    map_sigma = (corners.sigma * weights).sum(-1)
     sigma = readings.scale * (2 * (readings.beta[kept] * along) ** 2 + map_sigma**2).sqrt()
     residuals, slopes_world = [sdf / sigma], [gradient / sigma[:, None]]
     if readings.grey is not None:
-        value, change = _interpolated(volume.colors(rows).mean(-1), weights, slopes)
+        value, change = _interpolated(corners.colors.mean(-1), weights, slopes)
         off = value - readings.grey[kept]
         residuals.append((off - off.median() if len(off) else off) / COLOR_SIGMA)  # exposure changes
         slopes_world.append(change / COLOR_SIGMA)
@@ -96,9 +96,9 @@ def agreement(volume: FusionVolume, readings: Readings, pose: np.ndarray) -> tup
     return len(r) / len(readings), float((r.abs() < 3).float().mean()) if len(r) else 0.0
 
 
-def _known_cells(volume: FusionVolume, world: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-    """For the points (N, 3) in cells that are known: rows and weights (K, 8), slopes (K, 8, 3) of the weights, and
-    which (K,) they are."""
+def _known_cells(volume: FusionVolume, world: Tensor) -> tuple[Samples, Tensor, Tensor, Tensor]:
+    """For the points (N, 3) in cells that are known: their corners and weights (K, 8), slopes (K, 8, 3) of the weights,
+    and which (K,) they are."""
     rows, weights = volume.grid.trilinear(world)
     known = (rows >= 0) & (volume.sums[rows.clamp(min=0), 3] >= 1)
     kept = known.all(1).nonzero()[:, 0]
@@ -109,7 +109,7 @@ def _known_cells(volume: FusionVolume, world: Tensor) -> tuple[Tensor, Tensor, T
     sign = (2.0 * corners - 1) / volume.grid.voxel_size_m
     x, y, z = along.unbind(-1)
     slopes = torch.stack([y * z, x * z, x * y], -1) * sign
-    return rows[kept], weights[kept], slopes, kept
+    return volume.samples(rows[kept]), weights[kept], slopes, kept
 
 
 def _interpolated(values: Tensor, weights: Tensor, slopes: Tensor) -> tuple[Tensor, Tensor]:

@@ -69,10 +69,10 @@ def test_weighted_mean_spread_count_and_sigma():
     assert both.any()
     torch.testing.assert_close(volume.sdf()[both], 2.025 - z[both], atol=1e-5, rtol=0)
     spread = 0.1 * (0.75 * 0.25) ** 0.5
-    torch.testing.assert_close(volume.spread()[both], torch.full_like(z[both], spread), atol=1e-4, rtol=0)
+    torch.testing.assert_close(volume.samples().spread[both], torch.full_like(z[both], spread), atol=1e-4, rtol=0)
     sigma = spread * (SHARED_ERROR + (1 - SHARED_ERROR) / 2) ** 0.5
-    torch.testing.assert_close(volume.sigma()[both], torch.full_like(z[both], sigma), atol=1e-4, rtol=0)
-    assert volume.sigma().min() >= MIN_SIGMA_M * 0.999
+    torch.testing.assert_close(volume.samples().sigma[both], torch.full_like(z[both], sigma), atol=1e-4, rtol=0)
+    assert volume.samples().sigma.min() >= MIN_SIGMA_M * 0.999
 
 
 def test_free_space_weight_is_the_geometric_mean():
@@ -137,8 +137,10 @@ def test_colour_is_the_weighted_mean_near_the_surface():
     z = positions(volume)[:, 2]
     seen = volume.counts() > 0
     near = seen & ((z - 2.0).abs() < 0.4 * TRUNCATION)
-    torch.testing.assert_close(volume.colors()[near], torch.tensor([0.25, 0.75, 0.2]).expand(int(near.sum()), 3))
-    assert (volume.colors()[~seen] == 0.5).all()
+    torch.testing.assert_close(
+        volume.samples().colors[near], torch.tensor([0.25, 0.75, 0.2]).expand(int(near.sum()), 3)
+    )
+    assert (volume.samples().colors[~seen] == 0.5).all()
 
 
 def test_growth_and_reset_keep_sums_in_their_rows():
