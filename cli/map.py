@@ -24,6 +24,8 @@ from .options import SensorsCommand, device_option, overwrite_option, run_option
 @click.option("--hold-out", type=click.IntRange(2), default=None, metavar="N",
               help="Keep every N-th frame out of the map; `uncle eval` scores it.")  # fmt: skip
 @click.option("--set", "overrides", multiple=True, metavar="KEY=VALUE", help="Change a setting (docs/config.md).")
+@click.option("--prior", type=click.Path(path_type=Path), default=None, metavar="MODEL|RUN",
+              help="Start from what another run learned about its sensors: a run or its noise_model.pt.")  # fmt: skip
 @seed_option
 @device_option
 @click.option("--resume", is_flag=True, help="Continue an interrupted map; ends in the same result.")
@@ -31,18 +33,20 @@ from .options import SensorsCommand, device_option, overwrite_option, run_option
 @click.pass_context
 def command(
     ctx: click.Context, run_path: Path, sensors: tuple[str, ...], method: str, track: bool, color: bool,
-    voxel: float | None, hold_out: int | None, overrides: tuple[str, ...], seed: int, device: str, resume: bool,
-    overwrite: bool,
+    voxel: float | None, hold_out: int | None, overrides: tuple[str, ...], prior: Path | None, seed: int, device: str,
+    resume: bool, overwrite: bool,
 ) -> None:  # fmt: skip
     """Reconstruct the scene and learn how far each sensor can be trusted.
 
     \b
     uncle map --sensors sl psmnet --track
     uncle map --method tsdf --set fusion.voxel_size_m=0.01
+    uncle map --prior yesterday/run
     """
     from ..recon.config import make_config
     from ..recon.events import Note
     from ..recon.map_stage import map_run
+    from ..recon.noise_prior import NoisePrior
     from ..recon.run import RunDirectory
 
     if not color and not track:
@@ -51,7 +55,8 @@ def command(
     settings += [f"fusion.voxel_size_m={voxel}"] if voxel is not None else []
     config = make_config(method, settings, sensors=sensors, seed=seed, device=device, hold_out=hold_out or 0)
     say = listener(ctx)
-    summary = map_run(RunDirectory(run_path), config, resume=resume, overwrite=overwrite, on_event=say)
+    known = NoisePrior.load(prior) if prior is not None else None
+    summary = map_run(RunDirectory(run_path), config, prior=known, resume=resume, overwrite=overwrite, on_event=say)
     if summary.unchanged:
         say(Note(f"The map of {run_path} is done and unchanged; --overwrite redoes it."))
         return

@@ -21,6 +21,7 @@ from .errors import ConfigError, DataError, RunError
 from .events import Note, OnEvent, Warn, ignore, track_progress
 from .field import NeuralField
 from .frame import Frame
+from .noise_prior import NoisePrior, save_noise_models
 from .pipeline import choose_device, choose_tracker, reconstruct
 from .recording import RunFrames
 from .run import Manifest, RunDirectory, config_hash
@@ -44,26 +45,31 @@ class MapSummary:
 
 
 def map_run(
-    run: RunDirectory, config: MapConfig, *, resume: bool = False, overwrite: bool = False, on_event: OnEvent = ignore
-) -> MapSummary:
-    """Make the map of `run` and its trajectory, beta maps, curves and configuration.
+    run: RunDirectory, config: MapConfig, *, prior: NoisePrior | None = None, resume: bool = False,
+    overwrite: bool = False, on_event: OnEvent = ignore,
+) -> MapSummary:  # fmt: skip
+    """Make the map of `run` and its trajectory, beta maps, noise models, curves and configuration.
 
-    A finished map of the same settings is kept unless `overwrite`; `resume` continues an interrupted one.
-    Raises ConfigError for unknown sensors, DataError if nothing can be mapped, RunError for files.
+    A finished map of the same settings and the same `prior`, which the noise models start from, is kept unless
+    `overwrite`; `resume` continues an interrupted one. Raises ConfigError for unknown sensors or a prior that does not
+    fit, DataError if nothing can be mapped, RunError for files.
     """
     manifest = run.manifest
     config = config.model_copy(update={"sensors": choose_sensors(manifest, config.sensors)})
-    digest = config_hash(config.model_dump(mode="json"), run.require_stage("preprocess").config_hash)
+    made_with = [run.require_stage("preprocess").config_hash, *([prior.digest] if prior else [])]
+    digest = config_hash(config.model_dump(mode="json"), *made_with)
     checkpoint = Checkpoint(run.checkpoint_path, digest)
     continues = resume and not overwrite and checkpoint.load() is not None  # a broken --overwrite goes on, too
     if run.is_current(STAGE, digest) and not overwrite and not continues:
         return MapSummary(len(Trajectory.load(run.trajectory_path)), 0.0, 0.0, unchanged=True)
+    facts = {} if prior is None else {"prior": _checked(prior, run, config, on_event)}
     frames = RunFrames(run, config.sensors)
     indices, held_out = split_frames(frames, config, on_event)
     _prepare(checkpoint, resume and not overwrite, on_event)
     torch.manual_seed(config.seed)
     started = time.time()
-    field, poses, tracking, facts = _reconstruct(run, frames, indices, config, checkpoint, on_event)
+    field, poses, tracking, made = _reconstruct(run, frames, indices, config, checkpoint, prior, on_event)
+    facts |= made
     save_tensors(run.field_path, field.to_state())
     _trajectory(frames, poses).save(run.trajectory_path)
     if tracking is not None:
@@ -115,6 +121,20 @@ def peak_memory_mb() -> float:
     return round(peak / (1e6 if sys.platform == "darwin" else 1e3), 1)
 
 
+def _checked(prior: NoisePrior, run: RunDirectory, config: MapConfig, on_event: OnEvent) -> dict[str, Any]:
+    """Facts of a prior that fits. Raises ConfigError."""
+    if not config.uncertainty.enabled:
+        raise ConfigError("--prior is about the learned uncertainty, which this map does not have; leave it out")
+    if prior.path.resolve() == run.noise_model_path.resolve():
+        raise ConfigError(f"--prior {prior.path}: the map that is made would replace it; copy the file elsewhere first")
+    known = prior.covers(config.sensors)
+    prior.require_fit(known, config.uncertainty)
+    unknown = [sensor for sensor in config.sensors if sensor not in known]
+    if unknown:
+        on_event(Warn(f"--prior {prior.path} does not know {', '.join(unknown)}: learned from nothing"))
+    return {"path": str(prior.path.resolve()), "digest": prior.digest, "sensors": known}
+
+
 def _prepare(checkpoint: Checkpoint, resume: bool, on_event: OnEvent) -> None:
     if not checkpoint.path.exists():
         return
@@ -125,7 +145,7 @@ def _prepare(checkpoint: Checkpoint, resume: bool, on_event: OnEvent) -> None:
         raise RunError("the interrupted map has other settings; give the same ones, or start over without --resume")
 
 
-def _reconstruct(run, frames, indices, config, checkpoint, on_event):
+def _reconstruct(run, frames, indices, config, checkpoint, prior, on_event):
     """Field, poses by frame index, tracking record or None, facts."""
     if config.method == "tsdf":
         return _reconstruct_open3d(run, frames, indices, config, on_event)
@@ -136,12 +156,15 @@ def _reconstruct(run, frames, indices, config, checkpoint, on_event):
         drop_earlier_map()
         write_image(run.beta_path(sensor, index), encode_metres(beta.numpy(), BETA_UNITS_PER_M))
 
-    made = reconstruct(frames, indices, config, checkpoint, write_beta, on_event)
+    made = reconstruct(frames, indices, config, checkpoint, write_beta, on_event, prior)
     _require_surface(made.field)
     drop_earlier_map()
     write_text(run.curves_path, json.dumps(_curves(made.curves)))
     seconds = {name: round(value, 2) for name, value in made.seconds.items()}
     facts = {"seconds": seconds, "keyframes": len(made.mapper.selector.T_camera_world)}
+    facts["sensor_share"] = {sensor: round(share, 4) for sensor, share in made.mapper.sensor_share().items()}
+    if config.uncertainty.enabled:
+        save_noise_models(run.noise_model_path, made.mapper.noise)
     return made.field, made.poses, made.tracking, facts
 
 
@@ -205,4 +228,5 @@ def _drop_earlier_map(run: RunDirectory) -> None:
     with explain_write_errors(run.root):
         shutil.rmtree(run.root / "beta", ignore_errors=True)
         run.curves_path.unlink(missing_ok=True)
+        run.noise_model_path.unlink(missing_ok=True)
         run.tracking_path.unlink(missing_ok=True)

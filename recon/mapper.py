@@ -40,6 +40,7 @@ class Mapper:
         self.selector = KeyframeSelector(camera, config.keyframes)
         self.rays = RayStore(config.keyframes.max_rays)
         self.log = FusionLog()  # used while poses can still change
+        self.said = dict.fromkeys(sensors, 0.0)  # weight of all readings of each sensor in the map
 
     # --- one frame ---------------------------------------------------------------------------------------------
     def explore(self, frame: Frame, features: dict[str, Tensor], T_world_camera: Tensor) -> dict[str, Tensor]:
@@ -90,7 +91,27 @@ class Mapper:
                 betas[sensor] = noise[sensor].beta_image(depth, features[sensor].to(self.device))
                 weight, free_space = self._weights(betas[sensor], depth > 0)
             self.volume.integrate(depth, weight, color, T_world_camera, free_space, take_out_of)
+            said = self._weight_near_surface(depth, weight)
+            self.said[sensor] += said if take_out_of is None else -said
         return betas
+
+    def _weight_near_surface(self, depth: Tensor, weight: Tensor | None) -> float:
+        """What an image adds to the weights of the samples around its surface, up to a factor that all images share.
+
+        A pixel covers an area that grows with the square of its depth (H, W) metres, and reaches as many samples.
+        """
+        area = torch.where(depth < self.config.fusion.max_depth_m, depth, 0.0).square()
+        return float((area if weight is None else area * weight).sum(dtype=torch.float64))
+
+    def sensor_share(self) -> dict[str, float]:
+        """Share of each sensor in the weights that decide where the surface of the map is; their sum is 1."""
+        total = sum(self.said.values())
+        return {sensor: said / total if total > 0 else 0.0 for sensor, said in self.said.items()}
+
+    def forget_readings(self) -> None:
+        """Empty the map for another sweep; keep its blocks and what was learned."""
+        self.volume.reset()
+        self.said = dict.fromkeys(self.sensors, 0.0)
 
     def _weights(self, beta: Tensor, valid: Tensor) -> tuple[Tensor, FreeSpace]:
         """beta (H, W) metres -> what its readings weigh, none below `WEIGHT_FLOOR` of their median.
@@ -194,6 +215,7 @@ class Mapper:
             "keyframes": self.selector.T_camera_world,
             "rays": self.rays.columns,
             "log": self.log.state_dict(),
+            "said": self.said,
             "generator": self.generator.get_state(),
         }
 
@@ -207,6 +229,7 @@ class Mapper:
         self.selector.T_camera_world = list(state["keyframes"])
         self.rays.columns = {name: values.to(self.device) for name, values in state["rays"].items()}
         self.log.load_state_dict(state["log"])
+        self.said = dict(state["said"])
         self.generator.set_state(state["generator"].cpu())
 
 

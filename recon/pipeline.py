@@ -19,6 +19,7 @@ from .events import Note, OnEvent, Progress, ignore
 from .field import NeuralField
 from .frame import Frame
 from .mapper import Mapper
+from .noise_prior import NoisePrior
 from .recording import RunFrames
 from .refine import refine
 from .tracking import GivenPoses, Tracker, require_found
@@ -69,14 +70,19 @@ def reconstruct(
     checkpoint: Checkpoint,
     on_beta: OnBeta,
     on_event: OnEvent = ignore,
+    prior: NoisePrior | None = None,
 ) -> Reconstruction:
     """Reconstruct `indices` of `frames`. Continues from `checkpoint` if it holds a state, with the same result.
+
+    The noise models of sensors that are in `prior` start from it.
 
     The first sweep explores: track, map, record, frame by frame, learning the noise online. Then the trajectory is
     made consistent, and each later sweep fuses all frames again with poses and weights as known by then. At last the
     field is refined by rendering, and beta maps are written.
     """
     mapper = Mapper(frames.camera, frames.sensors, config, choose_device(config.device))
+    if prior is not None:
+        prior.teach(mapper.noise)
     tracker = choose_tracker(frames, config, mapper)
     sweeps = max(config.fusion.sweeps, int(config.tracking.enabled))  # poses that moved need one more
     progress = _restore(checkpoint, mapper, tracker, on_event)
@@ -210,7 +216,7 @@ def _end_sweep(mapper: Mapper, progress: Progression, last: bool) -> None:
             if math.isfinite(loss):
                 progress.losses.setdefault(f"noise {sensor}", []).append(loss)
     if not last:
-        mapper.volume.reset()
+        mapper.forget_readings()
 
 
 def _refined_field(mapper: Mapper, config: MapConfig, on_event: OnEvent) -> tuple[NeuralField, list[float]]:

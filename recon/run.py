@@ -94,6 +94,10 @@ class RunDirectory:
         return self.root / "map" / "field.pt"
 
     @property
+    def noise_model_path(self) -> Path:
+        return self.root / "map" / "noise_model.pt"
+
+    @property
     def checkpoint_path(self) -> Path:
         return self.root / "map" / "checkpoint.pt"
 

@@ -33,11 +33,12 @@ class NoiseModel(nn.Module):
             self.layers[-1].weight.mul_(0.1)
             self.layers[-1].bias.fill_(math.log(math.expm1(START_BETA_M)))
         self.optimizer = torch.optim.Adam(self.parameters(), config.learning_rate)
+        self.has_prior = False  # it starts from what another recording taught
 
     @property
     def taught(self) -> bool:
-        """Whether it ever learned from residuals."""
-        return bool(self.optimizer.state)
+        """Whether it ever learned from residuals, here or in the recording of its prior."""
+        return self.has_prior or bool(self.optimizer.state)
 
     def forward(self, features: Tensor) -> Tensor:
         hidden = features

@@ -1,0 +1,135 @@
+"""What one recording taught about its sensors, as a file, and as the start of the next recording of the same rig."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Iterable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import torch
+
+from .checkpoint import load_tensors, save_tensors
+from .config import UncertaintyConfig
+from .errors import ConfigError, RunError
+from .noise_features import FEATURES
+from .run import RunDirectory
+from .uncertainty import NoiseModel
+
+FORMAT, VERSION = "uncle noise models", 1
+
+
+def save_noise_models(path: Path, noise: dict[str, NoiseModel]) -> None:
+    """Write the models that learned anything, by sensor, with what they need to be read again. Raises RunError."""
+    sensors = {
+        name: {
+            "weights": {key: values.detach().cpu() for key, values in model.state_dict().items()},
+            "hidden": model.config.hidden,
+            "features": list(FEATURES),
+            "beta_min_m": model.config.beta_min_m,
+        }
+        for name, model in noise.items()
+        if model.taught
+    }
+    save_tensors(path, {"format": FORMAT, "version": VERSION, "sensors": sensors})
+
+
+@dataclass(frozen=True)
+class NoisePrior:
+    """Noise models by sensor name, as `save_noise_models` wrote them to `path`."""
+
+    path: Path
+    sensors: dict[str, dict[str, Any]]
+
+    @staticmethod
+    def load(path: Path) -> NoisePrior:
+        """Of a file, or of the map of a run directory. Raises RunError, ConfigError."""
+        if path.is_dir():
+            run = RunDirectory(path)
+            run.require_stage("map")
+            path = run.noise_model_path
+            if not path.is_file():
+                raise RunError(
+                    f"the map of {run.root} holds no noise models; make it with `uncle map --method uncle --overwrite`"
+                )
+        elif not path.exists():
+            raise ConfigError(f"--prior {path}: there is no such file; give a run directory, or its noise_model.pt")
+        return NoisePrior(path, _read(path))
+
+    @property
+    def digest(self) -> str:
+        """Short hash of what the models are; not of where the file is."""
+        content = hashlib.sha256()
+        for name, entry in sorted(self.sensors.items()):
+            content.update(repr((name, entry["hidden"], entry["features"], entry["beta_min_m"])).encode())
+            for key, values in sorted(entry["weights"].items()):
+                content.update(repr((key, tuple(values.shape), values.dtype)).encode())
+                content.update(values.contiguous().numpy().tobytes())
+        return content.hexdigest()[:16]
+
+    def covers(self, sensors: Iterable[str]) -> list[str]:
+        """Those of `sensors` that it has a model of. Raises ConfigError if there is none."""
+        covered = [sensor for sensor in sensors if sensor in self.sensors]
+        if not covered:
+            raise ConfigError(
+                f"--prior {self.path} knows none of the sensors {', '.join(sensors)}, only "
+                f"{', '.join(self.sensors) or 'nobody'}; leave --prior out"
+            )
+        return covered
+
+    def require_fit(self, sensors: Iterable[str], config: UncertaintyConfig) -> None:
+        """Raises ConfigError if a model of `sensors` cannot start one of these settings."""
+        for sensor in sensors:
+            self._start(sensor, NoiseModel(config, torch.Generator()))
+
+    def teach(self, noise: dict[str, NoiseModel]) -> None:
+        """Let the models of the sensors that are in it start from it. Raises ConfigError."""
+        for sensor, model in noise.items():
+            if sensor in self.sensors:
+                self._start(sensor, model)
+
+    def _start(self, sensor: str, model: NoiseModel) -> None:
+        entry = self.sensors[sensor]
+        where = f"--prior {self.path}, sensor {sensor}"
+        if tuple(entry["features"]) != tuple(FEATURES):
+            other = sorted(set(entry["features"]) ^ set(FEATURES))
+            raise ConfigError(
+                f"{where}: made for other features ({', '.join(other) or 'in another order'}), by another version; "
+                "map that recording again with this one"
+            )
+        if entry["hidden"] != model.config.hidden:
+            raise ConfigError(
+                f"{where}: its layers are {entry['hidden']} wide, here {model.config.hidden}; "
+                f"add --set uncertainty.hidden={entry['hidden']}"
+            )
+        try:
+            model.load_state_dict(entry["weights"])
+        except RuntimeError as error:
+            raise ConfigError(
+                f"{where}: a network of another shape, by another version; map that recording again with this one"
+            ) from error
+        model.has_prior = True
+
+
+def _read(path: Path) -> dict[str, dict[str, Any]]:
+    wrong = f"--prior {path}: not a file of noise models; give a run directory, or its map/noise_model.pt"
+    try:
+        state = load_tensors(path)
+    except RunError as error:
+        raise ConfigError(wrong) from error
+    if not isinstance(state, dict) or state.get("format") != FORMAT:
+        raise ConfigError(wrong)
+    if state.get("version") != VERSION:
+        raise ConfigError(f"--prior {path}: version {state.get('version')}, here {VERSION}; map that recording again")
+    sensors = state.get("sensors")
+    if not isinstance(sensors, dict) or not all(_is_entry(entry) for entry in sensors.values()):
+        raise ConfigError(wrong)
+    return sensors
+
+
+def _is_entry(entry: Any) -> bool:
+    if not isinstance(entry, dict) or not {"weights", "hidden", "features", "beta_min_m"} <= entry.keys():
+        return False
+    weights = entry["weights"]
+    return isinstance(weights, dict) and all(isinstance(values, torch.Tensor) for values in weights.values())
