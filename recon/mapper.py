@@ -22,6 +22,7 @@ from .uncertainty import NoiseModel
 WEIGHT_SCALE_M = 0.01  # a reading with this beta weighs 1
 WEIGHT_FLOOR = 0.5  # of the median weight of the image
 DOUBT_BETAS = 2.0  # a reading vouches for free space on the scale of this many betas before it
+_ENOUGH_READINGS = 20_000  # for a median
 _MAX_SELF_SHARE = 0.9  # readings that make up more of the map than this say nothing about themselves
 _MAX_RESIDUAL_M = 1.0
 
@@ -234,6 +235,8 @@ class Mapper:
 
 
 def _typical(weight: Tensor, valid: Tensor) -> float:
-    """Median weight (H, W) of the `valid` readings; 0 if there is none."""
+    """Median weight (H, W) of the `valid` readings, of evenly spread ones where there are many; 0 if there is none."""
     chosen = weight[valid].cpu().numpy()
-    return float(np.partition(chosen, (len(chosen) - 1) // 2)[(len(chosen) - 1) // 2]) if len(chosen) else 0.0
+    chosen = chosen[:: 1 + len(chosen) // _ENOUGH_READINGS]
+    middle = (len(chosen) - 1) // 2
+    return float(np.partition(chosen, middle)[middle]) if len(chosen) else 0.0

@@ -17,7 +17,7 @@ _REPROJECTION_PX = 4.0
 _RANSAC_ITERATIONS = 300
 WEAK_M, WEAK_RAD = 0.02, 0.02  # 1 sigma of the direction that is known least
 _UNKNOWN = 1.0
-_SMALLEST_STEP = 1e-6  # metres and radians
+_SMALLEST_STEP = 5e-5  # metres and radians; the adjustments that follow go on from there
 
 
 @dataclass(frozen=True)
