@@ -11,7 +11,6 @@ from .console import listener, print_json, print_table
 from .options import json_option, run_option, seed_option
 
 if TYPE_CHECKING:
-    from ..recon.calibration import UncertaintyMetrics
     from ..recon.camera_path import CameraPath
     from ..recon.depth_metrics import HeldOutDepth
     from ..recon.run_metrics import EvalSettings, RunMetrics, SurfaceMetrics
@@ -185,6 +184,7 @@ def _evaluate_run(
 def _print_run(metrics: RunMetrics) -> None:
     from ..recon.tracking_metrics import describe_lost
     from ..recon.trajectory_table import tracking_rows, trajectory_rows
+    from ..recon.uncertainty_table import uncertainty_rows
 
     if metrics.surface is not None:
         print_table("Surface", HEADER, surface_rows(metrics.surface))
@@ -211,6 +211,8 @@ def _print_remarks(skipped: dict[str, str], notes: tuple[str, ...]) -> None:
 
 def surface_rows(metrics: SurfaceMetrics) -> Rows:
     """Rows in % and cm."""
+    from ..recon.uncertainty_table import confidence_rows
+
     mesh, rows = metrics.mesh, []
     for score in mesh.scores:
         at = f"at {score.threshold_m * 100:g} cm"
@@ -230,7 +232,7 @@ def surface_rows(metrics: SurfaceMetrics) -> Rows:
             ("depth L1 where the mesh is", _cm(depth.l1_rendered_m), "cm"),
             ("share of pixels where the mesh is", _percent(depth.completeness), "%"),
         ]
-    return rows
+    return rows + (confidence_rows(metrics.confidence) if metrics.confidence is not None else [])
 
 
 def _describe(metrics: SurfaceMetrics) -> str:
@@ -247,20 +249,6 @@ def held_out_rows(metrics: HeldOutDepth) -> Rows:
         (f"L1 to {metrics.sensor}, mean / median", f"{_cm(metrics.l1_m)} / {_cm(metrics.median_m)}", "cm"),
         ("share of readings where the mesh is", _percent(metrics.completeness), "%"),
         ("frames", str(metrics.frames), ""),
-    ]
-
-
-def uncertainty_rows(metrics: UncertaintyMetrics) -> Rows:
-    """Rows in nats, % and cm."""
-    rank = "-" if metrics.rank_correlation is None else f"{metrics.rank_correlation:.3f}"
-    return [
-        ("negative log-likelihood", f"{metrics.nll_nats:.3f}", "nats"),
-        ("the same, best constant beta", f"{metrics.nll_constant_nats:.3f}", "nats"),
-        ("coverage of the 50 % interval", _percent(metrics.coverage_50), "%"),
-        ("coverage of the 90 % interval", _percent(metrics.coverage_90), "%"),
-        ("AUSE (random order)", f"{metrics.ause:.3f} ({metrics.ause_random:.3f})", ""),
-        ("rank correlation with the error", rank, ""),
-        ("mean error / mean beta", f"{_cm(metrics.mean_error_m)} / {_cm(metrics.mean_beta_m)}", "cm"),
     ]
 
 

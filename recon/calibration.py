@@ -5,7 +5,7 @@ The density is exp(-|e| / beta) / (2 beta), so E|e| = beta.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.stats import rankdata
@@ -13,6 +13,7 @@ from scipy.stats import rankdata
 COVERAGES = (0.5, 0.9)
 LEVELS = tuple(round(0.05 * step, 2) for step in range(1, 20))  # 5 to 95 %
 BINS = 20  # of the reliability and sparsification curves
+DEPTH_BINS = 64  # of the model that knows nothing but the depth of a reading
 
 
 @dataclass(frozen=True)
@@ -23,6 +24,7 @@ class UncertaintyCurves:
     bin_beta_m, bin_error_m      mean beta and mean |error| of readings in bins of equal size, by rising beta
     removed                      share of readings removed, the least certain first
     error_by_beta, error_oracle  mean |error| of the rest over that of all: removed by beta, by the error itself
+    error_by_depth               the same, removed by the model that knows the depth alone; () where no depth is given
     """
 
     nominal: tuple[float, ...]
@@ -32,6 +34,7 @@ class UncertaintyCurves:
     removed: tuple[float, ...]
     error_by_beta: tuple[float, ...]
     error_oracle: tuple[float, ...]
+    error_by_depth: tuple[float, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -44,7 +47,12 @@ class UncertaintyMetrics:
     ause               area between the sparsification curves of beta and of the oracle, both over the mean |error| of
                        all; 0 is the oracle
     ause_random        the same for an order that knows nothing
+    ause_depth         the same for a beta that is a function of depth alone, fitted to the truth (`depth_only_beta`)
+    ause_gain          1 - ause / ause_depth: how much closer to the oracle than that; 1 is the oracle, below 0 is worse
+    nll_depth_nats     negative log-likelihood of the depth-only beta, which knows the truth
     rank_correlation   Spearman's, of beta and |error|; None if one of them is constant
+
+    What needs the depth of the readings is None without it.
     """
 
     nll_nats: float
@@ -60,26 +68,38 @@ class UncertaintyMetrics:
     scored_readings: int
     seed: int
     curves: UncertaintyCurves
+    ause_depth: float | None = None
+    ause_gain: float | None = None
+    nll_depth_nats: float | None = None
 
 
 def evaluate_uncertainty(
-    error_m: np.ndarray, beta_m: np.ndarray, *, max_readings: int = 500_000, seed: int = 0
+    error_m: np.ndarray,
+    beta_m: np.ndarray,
+    depth_m: np.ndarray | None = None,
+    *,
+    max_readings: int = 500_000,
+    seed: int = 0,
 ) -> UncertaintyMetrics:
     """Score `beta_m` (N,) > 0 against `error_m` (N,), the signed or absolute error of the same readings, in metres.
 
-    More than `max_readings` are thinned at random. Raises ValueError for other shapes, no reading or a beta <= 0.
+    With `depth_m` (N,), what the readings say, also against a beta that knows the depth alone. More than `max_readings`
+    are thinned at random. Raises ValueError for other shapes, no reading or a beta <= 0.
     """
     error, beta = np.abs(np.ravel(error_m)).astype(np.float64), np.ravel(beta_m).astype(np.float64)
     if error.shape != beta.shape or len(error) == 0:
         raise ValueError(f"error and beta must have one value per reading, got {error.shape} and {beta.shape}")
     if not (np.isfinite(error).all() and np.isfinite(beta).all() and (beta > 0).all()):
         raise ValueError("errors must be finite and every beta positive")
+    depth = None if depth_m is None else np.ravel(depth_m).astype(np.float64)
+    if depth is not None and (depth.shape != beta.shape or not np.isfinite(depth).all()):
+        raise ValueError(f"depth must have one finite value per beta, got {depth.shape} and {beta.shape}")
     readings = len(error)
     order = np.random.default_rng(seed).permutation(readings)[:max_readings]  # also breaks ties of beta fairly
     error, beta = error[order], beta[order]
     removed, by_beta, oracle = sparsification(error, beta)
     constant = max(error.mean(), np.finfo(float).tiny)
-    return UncertaintyMetrics(
+    metrics = UncertaintyMetrics(
         laplace_nll(error, beta),
         laplace_nll(error, np.full_like(error, constant)),
         *(interval_coverage(error, beta, level) for level in COVERAGES),
@@ -93,6 +113,35 @@ def evaluate_uncertainty(
         seed,
         _curves(error, beta, removed, by_beta, oracle),
     )
+    return metrics if depth is None else _beside_depth_only(metrics, error, depth[order])
+
+
+def _beside_depth_only(metrics: UncertaintyMetrics, error: np.ndarray, depth: np.ndarray) -> UncertaintyMetrics:
+    """`metrics` with the scores of a beta that knows the depth alone."""
+    beta = depth_only_beta(depth, error)
+    removed, by_depth, oracle = sparsification(error, beta)
+    ause = float(np.trapezoid(by_depth - oracle, removed))
+    curve = tuple(by_depth[_marks(len(removed))].tolist())
+    return replace(
+        metrics,
+        ause_depth=ause,
+        ause_gain=1.0 - metrics.ause / ause if ause > 0 else None,
+        nll_depth_nats=laplace_nll(error, beta),
+        curves=replace(metrics.curves, error_by_depth=curve),
+    )
+
+
+def depth_only_beta(depth: np.ndarray, error: np.ndarray) -> np.ndarray:
+    """The best beta = f(depth), fitted to the true |error| (N,): (N,) metres, positive.
+
+    f joins the mean |error| of `DEPTH_BINS` bins of equally many readings by straight lines. That mean is the
+    likeliest Laplace scale of a bin and the best order for sparsification, and f need not rise, so no other function of
+    depth is much better: it is a bar, and uses a truth that a user does not have.
+    """
+    bins = np.array_split(np.argsort(depth, kind="stable"), min(DEPTH_BINS, len(depth)))
+    centre = np.array([depth[chosen].mean() for chosen in bins])
+    mean = np.array([error[chosen].mean() for chosen in bins])
+    return np.maximum(np.interp(depth, centre, mean), np.finfo(float).tiny)
 
 
 def laplace_nll(error: np.ndarray, beta: np.ndarray) -> float:
@@ -132,7 +181,7 @@ def _curves(
     error: np.ndarray, beta: np.ndarray, removed: np.ndarray, by_beta: np.ndarray, oracle: np.ndarray
 ) -> UncertaintyCurves:
     bins = np.array_split(np.argsort(beta, kind="stable"), min(BINS, len(beta)))
-    marks = np.linspace(0, len(removed) - 1, min(BINS, len(removed))).astype(int)
+    marks = _marks(len(removed))
     return UncertaintyCurves(
         LEVELS,
         tuple(interval_coverage(error, beta, level) for level in LEVELS),
@@ -142,3 +191,8 @@ def _curves(
         tuple(by_beta[marks].tolist()),
         tuple(oracle[marks].tolist()),
     )
+
+
+def _marks(count: int) -> np.ndarray:
+    """Positions along a sparsification curve of `count` points that stand for it."""
+    return np.linspace(0, count - 1, min(BINS, count)).astype(int)

@@ -10,15 +10,23 @@ from typing import Any
 from .errors import DependencyError, UncleError
 from .events import OnEvent, Progress, Warn, ignore
 from .metrics_table import grouped, metric_rows
-from .noise_curves import sensor_noise
+from .noise_curves import Readings, collect_readings, noise_of
 from .recording import RunFrames
 from .report_camera import camera_section
-from .report_charts import calibration_chart, curves_chart, noise_chart
+from .report_charts import (
+    calibration_chart,
+    confidence_chart,
+    curves_chart,
+    noise_chart,
+    reliability_chart,
+    reliability_curves,
+)
 from .report_html import Section, embed_picture, explain, heading, missing, page, preformatted, table
 from .run import Manifest, RunDirectory
 from .sensor_pictures import draw_sensors, estimated_sensors
 from .snapshot import draw_mesh, load_reference, load_run_mesh, snapshot_views
 from .storage import write_text
+from .uncertainty_summary import map_shares, summarise, summary_table
 
 _SUMMARY = (  # order of the metrics
     "surface", "trajectory", "tracking", "held_out", "uncertainty", "skipped", "notes", "settings",
@@ -99,30 +107,53 @@ def _mesh(run: RunDirectory, renderer: str, on_event: OnEvent) -> str:
         embed_picture(shot.save(run.snapshots_path).read_bytes(), _CAPTIONS[shot.mode], photographic=True)
         for shot in snapshots
     ]
-    return explain(counts) + "\n".join(pictures)
+    return explain(counts) + "\n".join(pictures) + _confidence(run)
+
+
+def _confidence(run: RunDirectory) -> str:
+    surface = (_read_json(run.metrics_path) or {}).get("surface")
+    scored = surface.get("confidence") if isinstance(surface, dict) else None
+    curves = scored.get("curves") if isinstance(scored, dict) else None
+    chart = confidence_chart(curves) if isinstance(curves, dict) else None
+    return _embed_chart(chart, "The confidence of the vertices against their distance to the true surface.")
 
 
 def _sensors(run: RunDirectory, on_event: OnEvent) -> str:
     frames = RunFrames(run)
     sheets = {path.stem.removeprefix("sensor_"): path for path in draw_sensors(run, run.snapshots_path, on_event)}
-    scored = (_read_json(run.metrics_path) or {}).get("uncertainty")
-    parts = []
-    for sensor in estimated_sensors(frames):
+    metrics = _read_json(run.metrics_path) or {}
+    scored = metrics.get("uncertainty")
+    readings = {sensor: collect_readings(frames, sensor) for sensor in estimated_sensors(frames)}
+    parts = [_trust(run, readings)]
+    for sensor in readings:
         parts.append(heading(f"Sensor {sensor}"))
         if sensor in sheets:
             picture = sheets[sensor].read_bytes()
             parts.append(embed_picture(picture, "All sensors share these scales.", photographic=True))
         else:
             parts.append(missing("No frame of this sensor can be read; redo it with `uncle preprocess --overwrite`."))
-        parts.append(_noise(frames, sensor))
+        parts.append(_noise(run, sensor, readings[sensor]))
         parts.append(_calibration(sensor, scored.get(sensor) if isinstance(scored, dict) else None))
-    return "\n".join(parts) or missing("The run has no sensor but the ground truth.")
+    caption = "Reliability of all that states an uncertainty: how much of the truth lies within what was promised."
+    parts.append(_embed_chart(reliability_chart(reliability_curves(metrics)), caption))
+    return "\n".join(filter(None, parts)) or missing("The run has no sensor but the ground truth.")
 
 
-def _noise(frames: RunFrames, sensor: str) -> str:
-    noise = sensor_noise(frames, sensor)
-    if noise is None:
-        return missing(f"No beta maps: `uncle map --run {frames.run.root}` learns them for the sensors that it maps.")
+def _trust(run: RunDirectory, readings: dict[str, Readings | None]) -> str:
+    """How much each sensor has to say in the map, and what it is believed to be off by."""
+    shares = map_shares(run)
+    found = {sensor: summarise(seen, shares.get(sensor)) for sensor, seen in readings.items() if seen is not None}
+    if not found:
+        return ""
+    header, rows = summary_table(found)
+    text = "Share of each sensor in the weights of the map, and its beta: the mean error that a reading promises."
+    return explain(text) + table(header, rows, numbers=range(1, len(header) - 1))
+
+
+def _noise(run: RunDirectory, sensor: str, readings: Readings | None) -> str:
+    if readings is None:
+        return missing(f"No beta maps: `uncle map --run {run.root}` learns them for the sensors that it maps.")
+    noise = noise_of(readings)
     caption = "A beta is the mean error that it promises: where the curves coincide, the sensor is known."
     return embed_picture(noise_chart(sensor, noise), caption, photographic=False)
 
@@ -130,9 +161,12 @@ def _noise(frames: RunFrames, sensor: str) -> str:
 def _calibration(sensor: str, scored: Any) -> str:
     curves = scored.get("curves") if isinstance(scored, dict) else None
     chart = calibration_chart(sensor, curves) if isinstance(curves, dict) else None
-    return (
-        embed_picture(chart, "Calibration against the true depth (`uncle eval`).", photographic=False) if chart else ""
-    )
+    return _embed_chart(chart, "Calibration against the true depth (`uncle eval`).")
+
+
+def _embed_chart(chart: bytes | None, caption: str) -> str:
+    """Nothing where there is nothing to draw."""
+    return embed_picture(chart, caption, photographic=False) if chart else ""
 
 
 def _curves(run: RunDirectory) -> str:

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 _CM = 100.0
-_LEARNED, _TRUE = "#1f77b4", "#d62728"
+_LEARNED, _TRUE, _DEPTH_ONLY, _IDEAL = "#1f77b4", "#d62728", "#2ca02c", "#888888"
 
 
 def noise_chart(sensor: str, noise: SensorNoise) -> bytes:
@@ -68,16 +68,62 @@ def calibration_chart(sensor: str, curves: Mapping[str, Any]) -> bytes | None:
     removed = values["removed"] * 100
     lines = [
         Line("least trusted removed", removed, values["error_by_beta"], "-", _LEARNED),
-        Line("worst removed (best possible)", removed, values["error_oracle"], "--", "#888888"),
+        Line("worst removed (best possible)", removed, values["error_oracle"], "--", _IDEAL),
     ]
+    if _is_numeric(curves.get("error_by_depth")):
+        by_depth = _numbers(curves["error_by_depth"])
+        lines.insert(1, Line("by depth alone, fitted to the truth", removed, by_depth, ":", _DEPTH_ONLY))
     draw_lines(sparse, lines, "readings removed [%]", "mean error left, relative", f"{sensor}: sparsification")
+    return encode_figure(figure)
+
+
+def reliability_chart(curves: Mapping[str, Any]) -> bytes | None:
+    """Met against promised coverage of central intervals, one line for each name; None if nothing was scored; PNG.
+
+    `curves`: name -> `nominal` and `empirical`, as in `metrics.json` (`reliability_curves`).
+    """
+    lines = [
+        Line(name, _numbers(curve["nominal"]) * 100, _numbers(curve["empirical"]) * 100, "o-")
+        for name, curve in curves.items()
+        if isinstance(curve, dict) and _is_curve({"x": curve.get("nominal"), "y": curve.get("empirical")})
+    ]
+    if not lines:
+        return None
+    figure = new_figure(5.2, 4.6)
+    axes = figure.subplots()
+    whole = np.array([0.0, 100.0])
+    lines.append(Line("ideal", whole, whole, "--", _IDEAL))
+    draw_lines(axes, lines, "promised coverage [%]", "met coverage [%]", "below the diagonal: too sure")
+    axes.set_aspect("equal")
+    return encode_figure(figure)
+
+
+def reliability_curves(metrics: Mapping[str, Any]) -> dict[str, Any]:
+    """What `reliability_chart` draws of a `metrics.json`: the curves of every sensor and of the mesh's confidence."""
+    sensors, surface = metrics.get("uncertainty"), metrics.get("surface")
+    confidence = surface.get("confidence") if isinstance(surface, dict) else None
+    scored = {**(sensors if isinstance(sensors, dict) else {}), "vertices of the mesh": confidence}
+    return {name: found["curves"] for name, found in scored.items() if isinstance(found, dict) and "curves" in found}
+
+
+def confidence_chart(curves: Mapping[str, Any]) -> bytes | None:
+    """Coverage, and promised against met distance, of the confidence of vertices as `uncle eval` saved them; PNG."""
+    names = ("nominal", "empirical", "bin_sigma_m", "bin_distance_rms_m")
+    if not all(_is_numeric(curves.get(name)) for name in names):
+        return None
+    nominal, empirical, sigma, distance = (_numbers(curves[name]) for name in names)
+    figure = new_figure(8.0, 3.4)
+    coverage, size = figure.subplots(1, 2)
+    percent, lengths = ("promised coverage [%]", "met coverage [%]"), ("sigma [cm]", "RMS distance to the truth [cm]")
+    _against_diagonal(coverage, nominal * 100, empirical * 100, *percent, "vertices: intervals")
+    _against_diagonal(size, sigma * _CM, distance * _CM, *lengths, "vertices: size")
     return encode_figure(figure)
 
 
 def _against_diagonal(axes: Axes, x: np.ndarray, y: np.ndarray, x_label: str, y_label: str, title: str) -> None:
     end = float(np.nanmax(np.concatenate([x, y, [0.0]])))
     ideal = np.array([0.0, end])
-    lines = [Line("learned", x, y, "o-", _LEARNED), Line("ideal", ideal, ideal, "--", "#888888")]
+    lines = [Line("learned", x, y, "o-", _LEARNED), Line("ideal", ideal, ideal, "--", _IDEAL)]
     draw_lines(axes, lines, x_label, y_label, title)
 
 

@@ -13,6 +13,7 @@ from typing import Any, TypeVar
 import numpy as np
 
 from .calibration import UncertaintyMetrics, evaluate_uncertainty
+from .confidence_metrics import ConfidenceMetrics, evaluate_confidence
 from .depth_metrics import HeldOutDepth, NovelViewDepth, ViewSettings, held_out_depth, novel_view_depth
 from .errors import DataError, RunError, UncleError
 from .events import Note, OnEvent, ignore, track_progress
@@ -56,6 +57,7 @@ class SurfaceMetrics:
 
     mesh: MeshMetrics
     novel_views: NovelViewDepth | None
+    confidence: ConfidenceMetrics | None  # of the vertices
     skipped: dict[str, str]
 
 
@@ -82,6 +84,7 @@ def score_surface(
     mesh: Mesh, reference: Mesh, settings: EvalSettings, cull: Visibility | None = None
 ) -> SurfaceMetrics:
     """Score `mesh` against `reference`; with `cull` only what the cameras saw. Raises DataError."""
+    visible = cull.seen if cull is not None else None
     seen_reference = cull.reference_points(reference) if cull is not None else None
     metrics = evaluate_mesh(
         mesh,
@@ -92,7 +95,7 @@ def score_surface(
         icp=settings.icp,
         protocol=settings.protocol,
         completeness_to=settings.completeness_to,
-        visible=cull.seen if cull is not None else None,
+        visible=visible,
         seen_reference=seen_reference,
     )
     skipped: dict[str, str] = {}
@@ -104,7 +107,8 @@ def score_surface(
         novel_views = _attempt(
             "novel_views", skipped, lambda: novel_view_depth(aligned, reference, settings.view_settings, seen_reference)
         )
-    return SurfaceMetrics(metrics, novel_views, skipped)
+    confidence = _attempt("confidence", skipped, lambda: evaluate_confidence(aligned, reference, visible))
+    return SurfaceMetrics(metrics, novel_views, confidence, skipped)
 
 
 def evaluate_run(run: RunDirectory, settings: EvalSettings | None = None, on_event: OnEvent = ignore) -> RunMetrics:
@@ -123,7 +127,7 @@ def evaluate_run(run: RunDirectory, settings: EvalSettings | None = None, on_eve
     uncertainty = {}
     for sensor in _sensors_with_beta(run, manifest, skipped):
         scored = _attempt(
-            f"uncertainty/{sensor}", skipped, lambda s=sensor: _score_uncertainty(frames, s, settings.seed, on_event)
+            f"uncertainty/{sensor}", skipped, lambda s=sensor: score_uncertainty(frames, s, settings.seed, on_event)
         )
         if scored is not None:
             uncertainty[sensor] = scored
@@ -228,12 +232,12 @@ def _sensors_with_beta(run: RunDirectory, manifest: Manifest, skipped: dict[str,
     return sensors
 
 
-def _score_uncertainty(frames: RunFrames, sensor: str, seed: int, on_event: OnEvent) -> UncertaintyMetrics:
+def score_uncertainty(frames: RunFrames, sensor: str, seed: int, on_event: OnEvent) -> UncertaintyMetrics:
     """Readings with a beta and a true depth at their pixel, the same number from each frame."""
     indices = [index for index in range(len(frames)) if frames.run.beta_path(sensor, index).is_file()]
     rng = np.random.default_rng(seed)
     quota = -(-UNCERTAINTY_READINGS // max(1, len(indices)))
-    errors, betas = [np.zeros(0)], [np.zeros(0)]
+    depths, errors, betas = [np.zeros(0)], [np.zeros(0)], [np.zeros(0)]
     for index in track_progress(indices, len(indices), f"uncertainty, {sensor}", on_event):
         depth, true, beta = (
             image.numpy().ravel()
@@ -243,12 +247,13 @@ def _score_uncertainty(frames: RunFrames, sensor: str, seed: int, on_event: OnEv
         )  # fmt: skip
         valid = np.flatnonzero((depth > 0) & (true > 0) & (beta > 0))
         chosen = rng.permutation(valid)[:quota]
+        depths.append(depth[chosen])
         errors.append(depth[chosen] - true[chosen])
         betas.append(beta[chosen])
     error, beta = np.concatenate(errors), np.concatenate(betas)
     if len(error) == 0:
         raise DataError("no reading has both a beta and a true depth")
-    return evaluate_uncertainty(error, beta, max_readings=UNCERTAINTY_READINGS, seed=seed)
+    return evaluate_uncertainty(error, beta, np.concatenate(depths), max_readings=UNCERTAINTY_READINGS, seed=seed)
 
 
 def _notes(

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from scipy import stats
-from uncle.recon.calibration import evaluate_uncertainty, sparsification
+from uncle.recon.calibration import depth_only_beta, evaluate_uncertainty, sparsification
 
 COUNT = 200_000
 
@@ -99,3 +99,56 @@ def test_perfect_readings_do_not_divide_by_zero():
 def test_senseless_input_is_refused(error, beta):
     with pytest.raises(ValueError, match="beta"):
         evaluate_uncertainty(np.array(error), np.array(beta))
+
+
+def test_beta_of_depth_alone_is_the_bar():
+    """Errors whose scale is that of depth times one that depth does not tell: knowing both beats knowing depth."""
+    rng = np.random.default_rng(1)
+    depth, factor = rng.uniform(1, 4, COUNT), rng.choice([0.3, 1.0, 3.0], COUNT)
+    beta = 0.002 * depth**2 * factor
+    error = rng.laplace(0.0, beta)
+    metrics = evaluate_uncertainty(error, beta, depth)
+    np.testing.assert_allclose(
+        depth_only_beta(depth, np.abs(error)), 0.002 * depth**2 * np.mean([0.3, 1, 3]), rtol=0.15
+    )
+    assert 0.0 < metrics.ause < metrics.ause_depth < metrics.ause_random
+    assert metrics.ause_gain == pytest.approx(1 - metrics.ause / metrics.ause_depth)
+    assert metrics.nll_nats < metrics.nll_depth_nats < metrics.nll_constant_nats
+    by_depth = evaluate_uncertainty(error, 0.002 * depth**2, depth)
+    assert by_depth.ause_gain == pytest.approx(0.0, abs=0.01)  # what depth tells in another way is no gain
+    assert evaluate_uncertainty(error, np.abs(error) + 1e-9, depth).ause_gain == pytest.approx(1.0)
+    assert evaluate_uncertainty(error, np.full(COUNT, 0.01), depth).ause_gain < 0.0
+
+
+def test_depth_that_tells_nothing_is_as_good_as_no_order(laplace):
+    error, beta = laplace
+    metrics = evaluate_uncertainty(error, beta, np.random.default_rng(2).uniform(1, 4, COUNT))
+    assert metrics.ause_depth == pytest.approx(metrics.ause_random, rel=0.05)  # a fit to the errors themselves
+    assert metrics.nll_depth_nats == pytest.approx(metrics.nll_constant_nats, abs=0.01)
+
+
+def test_the_model_of_depth_need_not_rise():
+    depth = np.linspace(1, 4, 50_000)
+    error = np.where(depth < 2, 0.05, 0.01)
+    near = np.abs(depth - 2) < 0.1
+    np.testing.assert_allclose(depth_only_beta(depth, error)[~near], error[~near])
+
+
+def test_without_depths_nothing_is_said_of_them(laplace):
+    metrics = evaluate_uncertainty(*laplace)
+    assert (metrics.ause_depth, metrics.ause_gain, metrics.nll_depth_nats) == (None, None, None)
+    assert metrics.curves.error_by_depth == ()
+    error, beta = laplace
+    assert len(evaluate_uncertainty(error, beta, beta).curves.error_by_depth) == len(metrics.curves.removed)
+
+
+def test_depths_must_fit_the_readings():
+    with pytest.raises(ValueError, match="depth"):
+        evaluate_uncertainty(np.ones(3), np.ones(3), np.ones(2))
+    with pytest.raises(ValueError, match="depth"):
+        evaluate_uncertainty(np.ones(3), np.ones(3), np.array([1.0, np.nan, 1.0]))
+
+
+def test_perfect_readings_leave_nothing_to_gain():
+    metrics = evaluate_uncertainty(np.zeros(10), np.linspace(0.1, 0.2, 10), np.linspace(1, 2, 10))
+    assert (metrics.ause_depth, metrics.ause_gain) == (0.0, None)

@@ -11,6 +11,7 @@ from uncle.recon.metrics_table import metric_rows
 from uncle.recon.noise_curves import incidence_angle, sensor_noise
 from uncle.recon.recording import RunFrames, encode_normals
 from uncle.recon.report import write_report
+from uncle.recon.report_charts import calibration_chart, confidence_chart, reliability_chart, reliability_curves
 from uncle.recon.run import RunDirectory
 from uncle.recon.storage import write_image, write_text
 
@@ -65,6 +66,35 @@ def test_page_has_every_section_and_its_figures(page):
     for text in ("F-score", "98.7", "1.23", "at 5 cm", "512", "MB", "Sensor noisy"):
         assert text in page
     assert 'class="missing"' not in page
+
+
+def test_charts_of_calibration_need_whole_curves():
+    curves = {"nominal": [0.5, 0.9], "empirical": [0.4, 0.8]}
+    size = {"bin_sigma_m": [0.01, 0.02], "bin_distance_rms_m": [0.01, None]}
+    surface = {"confidence": {"curves": {**curves, **size}}}
+    metrics = {"uncertainty": {"sl": {"curves": curves}, "sgm": {"curves": curves}}, "surface": surface}
+    found = reliability_curves(metrics)
+    assert list(found) == ["sl", "sgm", "vertices of the mesh"]
+    assert reliability_chart(found).startswith(b"\x89PNG")
+    assert reliability_chart({"sl": curves}) != reliability_chart(found)
+    assert reliability_curves({"uncertainty": None, "surface": {"confidence": None}}) == {}
+    for broken in ({}, {"sl": {}}, {"sl": 1}, {"sl": curves | {"nominal": [1]}}, {"sl": curves | {"empirical": "no"}}):
+        assert reliability_chart(broken) is None
+    assert confidence_chart({**curves, **size}).startswith(b"\x89PNG")
+    assert confidence_chart(curves) is None
+    names = ("bin_beta_m", "bin_error_m", "removed", "error_by_beta", "error_oracle")
+    whole = {name: [0.1, 0.2] for name in names}
+    plain = calibration_chart("sl", curves | whole)
+    assert calibration_chart("sl", curves | whole | {"error_by_depth": []}) == plain
+    assert calibration_chart("sl", curves | whole | {"error_by_depth": [0.3, 0.1]}) != plain
+
+
+def test_calibration_is_shown_for_the_mesh_and_for_all_together(full_run):
+    before = write_report(full_run, "raycast").read_text().count("<img")
+    curves = {"nominal": [0.5, 0.9], "empirical": [0.4, 0.8], "bin_sigma_m": [0.1], "bin_distance_rms_m": [0.1]}
+    scores = {"surface": {"confidence": {"curves": curves}}, "uncertainty": {"noisy": {"curves": curves}}}
+    write_text(full_run.metrics_path, json.dumps(scores))
+    assert write_report(full_run, "raycast").read_text().count("<img") == before + 2
 
 
 def test_names_are_escaped(page):

@@ -3,6 +3,7 @@
 import json
 import shutil
 import time
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -21,7 +22,8 @@ QUICK = EvalSettings(samples=20_000, views=5, completeness_to="surface")
 def mapped_run(make_box_run, box_room) -> RunDirectory:
     """A run as the later stages leave it: walls 1 cm too far, camera 3 cm off, two frames held out."""
     run = make_box_run()
-    box_room.mesh(grow_m=0.01).save(run.mesh_path)
+    walls = box_room.mesh(grow_m=0.01)
+    replace(walls, confidence=np.full(len(walls.vertices), 0.02, np.float32)).save(run.mesh_path)
     true = Trajectory.load(run.reference_trajectory_path)
     poses = true.T_world_camera.copy()
     poses[:, 2, 3] += 0.03
@@ -60,6 +62,24 @@ def test_uncertainty_of_a_sensor_that_states_its_scale(mapped_run):
     assert noisy.coverage_90 == pytest.approx(0.9, abs=0.02)
     assert noisy.nll_nats < noisy.nll_constant_nats
     assert noisy.rank_correlation > 0.2
+    # Its scale is a function of the true depth. A reading far beyond the walls gives itself away to the fit.
+    assert noisy.ause_depth < noisy.ause < noisy.ause_random
+    assert noisy.nll_depth_nats == pytest.approx(noisy.nll_nats, abs=0.1)
+
+
+def test_confidence_of_vertices_is_compared_with_their_distance(mapped_run):
+    """The corners are off by 1 cm on three sides, sqrt(3) cm, and state 2 cm."""
+    metrics = evaluate_run(mapped_run, QUICK).surface.confidence
+    assert metrics.vertices == 8
+    assert metrics.median_in_sigmas == pytest.approx(np.sqrt(3) / 2, rel=1e-3)
+    assert (metrics.coverage_1_sigma, metrics.coverage_2_sigma, metrics.rank_correlation) == (1.0, 1.0, None)
+
+
+def test_a_mesh_without_confidence_says_so(mapped_run, box_room):
+    box_room.mesh().save(mapped_run.mesh_path)
+    metrics = evaluate_run(mapped_run, QUICK)
+    assert metrics.surface.confidence is None
+    assert "no confidence" in metrics.skipped["confidence"]
 
 
 def test_reasons_are_given_for_what_is_not_there(make_box_run, box_room):

@@ -1,0 +1,54 @@
+"""The scores of an uncertainty as rows of text for people: (figure, value, unit)."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from .calibration import UncertaintyMetrics
+    from .confidence_metrics import ConfidenceMetrics
+
+Rows = list[tuple[str, str, str]]
+
+
+def uncertainty_rows(metrics: UncertaintyMetrics) -> Rows:
+    """Of the beta of a sensor; in nats, % and cm."""
+    lengths = f"{_cm(metrics.mean_error_m)} / {_cm(metrics.mean_beta_m)}"
+    rows = [
+        ("negative log-likelihood", f"{metrics.nll_nats:.3f}", "nats"),
+        ("the same, best constant beta", f"{metrics.nll_constant_nats:.3f}", "nats"),
+        ("the same, best beta of depth alone", _number(metrics.nll_depth_nats), "nats"),
+        ("coverage of the 50 % interval", _percent(metrics.coverage_50), "%"),
+        ("coverage of the 90 % interval", _percent(metrics.coverage_90), "%"),
+        ("AUSE (random order)", f"{metrics.ause:.3f} ({metrics.ause_random:.3f})", ""),
+        ("AUSE of the best beta of depth alone", _number(metrics.ause_depth), ""),
+        ("closer to the oracle than depth alone", _percent(metrics.ause_gain), "%"),
+        ("rank correlation with the error", _number(metrics.rank_correlation), ""),
+        ("mean error / mean beta", lengths, "cm"),
+    ]
+    return [row for row in rows if row[1] != "-" or row[0].startswith("rank")]
+
+
+def confidence_rows(metrics: ConfidenceMetrics) -> Rows:
+    """Of the confidence of vertices; in %, cm and sigmas."""
+    lengths = f"{_cm(metrics.median_distance_m)} / {_cm(metrics.median_sigma_m)}"
+    return [
+        ("vertices within 1 sigma (right: 68.3)", _percent(metrics.coverage_1_sigma), "%"),
+        ("vertices within 2 sigma (right: 95.4)", _percent(metrics.coverage_2_sigma), "%"),
+        ("median distance over sigma (right: 0.674)", _number(metrics.median_in_sigmas), ""),
+        ("rank correlation of sigma and distance", _number(metrics.rank_correlation), ""),
+        ("AUSE of sigma (random order)", f"{metrics.ause:.3f} ({metrics.ause_random:.3f})", ""),
+        ("median distance / median sigma", lengths, "cm"),
+    ]
+
+
+def _number(value: float | None) -> str:
+    return "-" if value is None else f"{value:.3f}"
+
+
+def _cm(metres: float) -> str:
+    return f"{metres * 100:.2f}"
+
+
+def _percent(ratio: float | None) -> str:
+    return "-" if ratio is None else f"{ratio * 100:.2f}"
