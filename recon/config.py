@@ -37,6 +37,9 @@ class UncertaintyConfig(_Strict):
 
     enabled: bool = Field(True, description="Learn how noisy each sensor is; false: every reading weighs the same.")
     hidden: int = Field(32, ge=4, description="Width of the two hidden layers.")
+    features: tuple[str, ...] = Field(
+        (), description='Inputs that the network sees, for ablations, such as ["depth", "incidence"]; empty: all.'
+    )
     beta_min_m: float = Field(1e-3, gt=0, description="Smallest beta, metres (paper: 1e-3).")
     learning_rate: float = Field(
         3e-3, gt=0, description="Step size of Adam at the start of each round; it falls to a tenth."

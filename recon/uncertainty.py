@@ -7,9 +7,10 @@ from itertools import pairwise
 
 import torch
 from torch import Tensor, nn
-from torch.nn.functional import softplus
+from torch.nn.functional import linear, softplus
 
 from .config import UncertaintyConfig
+from .errors import ConfigError
 from .losses import laplace_nll
 from .noise_features import FEATURES
 
@@ -25,6 +26,7 @@ class NoiseModel(nn.Module):
         self.config = config
         sizes = [len(FEATURES), config.hidden, config.hidden, 1]
         self.layers = nn.ModuleList(nn.Linear(a, b) for a, b in pairwise(sizes))
+        self.register_buffer("seen", seen_features(config.features), persistent=False)
         with torch.no_grad():
             for layer in self.layers:
                 bound = math.sqrt(6 / sum(layer.weight.shape))  # Xavier, as in METHOD.md section 3
@@ -41,8 +43,9 @@ class NoiseModel(nn.Module):
         return self.has_prior or bool(self.optimizer.state)
 
     def forward(self, features: Tensor) -> Tensor:
-        hidden = features
-        for layer in self.layers[:-1]:
+        first, *others = self.layers[:-1]
+        hidden = torch.relu_(linear(features, first.weight * self.seen, first.bias))
+        for layer in others:
             hidden = torch.relu_(layer(hidden))
         return self.config.beta_min_m + softplus(self.layers[-1](hidden)[..., 0])
 
@@ -65,3 +68,12 @@ class NoiseModel(nn.Module):
             loss.backward()
             self.optimizer.step()
         return float(loss.detach())
+
+
+def seen_features(names: tuple[str, ...]) -> Tensor:
+    """(F,) 1 for the inputs called `names` and 0 for the others; all 1 if there are no names. Raises ConfigError."""
+    unknown = [name for name in names if name not in FEATURES]
+    if unknown:
+        known = ", ".join(FEATURES)
+        raise ConfigError(f"setting uncertainty.features: no input is called {unknown[0]!r}; known inputs: {known}")
+    return torch.tensor([float(not names or name in names) for name in FEATURES])

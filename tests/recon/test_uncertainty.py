@@ -4,9 +4,10 @@ import math
 
 import pytest
 import torch
-from uncle.recon.config import UncertaintyConfig
+from uncle.recon.config import UncertaintyConfig, make_config
+from uncle.recon.errors import ConfigError
 from uncle.recon.noise_features import FEATURES
-from uncle.recon.uncertainty import PIXELS, START_BETA_M, NoiseModel
+from uncle.recon.uncertainty import PIXELS, START_BETA_M, NoiseModel, seen_features
 
 SCALES = (0.01, 0.06)  # metres: of readings whose first feature is -1 and +1
 
@@ -80,3 +81,24 @@ def test_beta_image_is_the_network_where_there_is_depth():
     assert torch.equal(beta == 0, depth == 0)
     torch.testing.assert_close(beta[depth > 0], model(features)[depth > 0].detach())
     assert (model.beta_image(torch.zeros(4, 5), features[:4, :5]) == 0).all()
+
+
+def test_inputs_that_are_not_named_are_not_seen():
+    config = make_config("uncle", ['uncertainty.features=["depth", "holes_3"]']).uncertainty
+    model = NoiseModel(config, generator())
+    features = torch.rand(500, len(FEATURES), generator=generator(5))
+    model.learn(features, features[:, FEATURES.index("image_x")], 20, generator())  # what it must not see tells most
+    seen = [FEATURES.index(name) for name in ("depth", "holes_3")]
+    others = features.clone()
+    others[:, [column for column in range(len(FEATURES)) if column not in seen]] = 9.0
+    assert torch.equal(model(features), model(others))
+    assert model(features).std() > 0
+    others[:, seen] += 1.0
+    assert not torch.equal(model(features), model(others))
+
+
+def test_inputs_without_a_name_are_all_seen_and_unknown_ones_refused():
+    assert seen_features(()).eq(1).all()
+    assert seen_features(FEATURES).eq(1).all()
+    with pytest.raises(ConfigError, match="no input is called 'dept'; known inputs: depth, incidence"):
+        seen_features(("dept",))
