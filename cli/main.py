@@ -22,6 +22,7 @@ COMMANDS: dict[str, str] = {
     "map": "Reconstruct the scene and learn how far each sensor can be trusted.",
     "mesh": "Extract the surface of a finished map.",
     "eval": "Score a mesh against a ground truth, or a whole run.",
+    "uncertainty": "Show how far each sensor of a map can be trusted.",
     "snapshot": "Draw pictures of a mesh or of a run.",
     "report": "Write one HTML page about a run.",
 }

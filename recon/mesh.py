@@ -47,8 +47,13 @@ def make_mesh(
         vertices, faces = _keep(vertices, faces, seen)
         vertices, faces = _keep(vertices, faces, ~_floaters(vertices, faces))
     colors, sigma = _attributes(field, vertices)
-    if max_sigma_m is not None:
+    if max_sigma_m is not None and len(faces):
         trusted = sigma <= max_sigma_m
+        if not trusted[faces].all(1).any():
+            raise DataError(
+                f"no part of the surface is as sure as {max_sigma_m * 100:g} cm: half of its vertices are surer than "
+                f"{np.median(sigma) * 100:.2f} cm; give a larger --min-confidence"
+            )
         vertices, faces, colors, sigma = _keep(vertices, faces, trusted, colors, sigma)
     if not len(faces):
         raise DataError(

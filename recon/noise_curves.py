@@ -36,18 +36,37 @@ class SensorNoise:
     by_incidence: NoiseCurve
 
 
-def sensor_noise(frames: RunFrames, sensor: str) -> SensorNoise | None:
-    """The noise curves of one sensor from a few frames; None where it has no beta maps. Raises DataError."""
+@dataclass(frozen=True)
+class Readings:
+    """Readings of one sensor that have a beta, (N,) each: metres, degrees; NaN where slant or error is unknown."""
+
+    depth: np.ndarray
+    incidence: np.ndarray
+    beta: np.ndarray
+    error: np.ndarray
+
+
+def collect_readings(frames: RunFrames, sensor: str) -> Readings | None:
+    """From a few frames; None where hardly any reading has a beta. Raises DataError."""
     parts = [_readings(frames, index, sensor) for index in spread_frames(frames, sensor, _FRAMES)]
     parts = [part for part in parts if part is not None]
-    if not parts:
-        return None
-    depth, incidence, beta, error = np.concatenate(parts, axis=1)
-    if len(depth) < _FEWEST:
-        return None
-    known = error if np.isfinite(error).any() else None
+    readings = Readings(*np.concatenate(parts, axis=1)) if parts else None
+    return readings if readings is not None and len(readings.depth) >= _FEWEST else None
+
+
+def sensor_noise(frames: RunFrames, sensor: str) -> SensorNoise | None:
+    """The noise curves of one sensor from a few frames; None where it has no beta maps. Raises DataError."""
+    readings = collect_readings(frames, sensor)
+    return None if readings is None else noise_of(readings)
+
+
+def noise_of(readings: Readings) -> SensorNoise:
+    """The noise curves of a sensor."""
+    depth, beta = readings.depth, readings.beta
+    known = readings.error if np.isfinite(readings.error).any() else None
     return SensorNoise(
-        _binned(depth, beta, known, 0.0, float(np.percentile(depth, 99.5))), _binned(incidence, beta, known, 0.0, 90.0)
+        _binned(depth, beta, known, 0.0, float(np.percentile(depth, 99.5))),
+        _binned(readings.incidence, beta, known, 0.0, 90.0),
     )
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -59,13 +60,23 @@ def spread_frames(frames: RunFrames, sensor: str, count: int) -> list[int]:
     return [usable[round(p)] for p in np.linspace(0, len(usable) - 1, min(count, len(usable)))] if usable else []
 
 
-def draw_sensors(run: RunDirectory, out: Path, on_event: OnEvent = ignore) -> list[Path]:
-    """Write `out`/sensor_NAME.png for every sensor that has readings; returns the files. Raises RunError."""
+def draw_sensors(
+    run: RunDirectory,
+    out: Path,
+    on_event: OnEvent = ignore,
+    sensors: Sequence[str] | None = None,
+    frame: int | None = None,
+) -> list[Path]:
+    """Write `out`/sensor_NAME.png for every sensor that has readings, or some `sensors`; returns the files.
+
+    Shown are a few frames, or the one of index `frame`. Raises RunError.
+    """
     frames = RunFrames(run)
     found: dict[str, list[SensorFrame]] = {}
-    for sensor in estimated_sensors(frames):
+    for sensor in estimated_sensors(frames) if sensors is None else sensors:
+        shown = spread_frames(frames, sensor, _ROWS) if frame is None else [frame]
         try:
-            found[sensor] = [read_sensor_frame(frames, i, sensor) for i in spread_frames(frames, sensor, _ROWS)]
+            found[sensor] = [read_sensor_frame(frames, index, sensor) for index in shown]
         except DataError as error:
             on_event(Warn(f"no picture of sensor {sensor}: {error}"))
     found = {sensor: rows for sensor, rows in found.items() if rows}

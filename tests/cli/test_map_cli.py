@@ -73,9 +73,27 @@ def test_mesh_is_redone_only_where_something_changed(run):
     assert len(Mesh.load(elsewhere).vertices) == coarse
     assert "done and unchanged" in uncle("mesh", "--run", run.root, "--no-clean").stderr  # --out is no stage
     message = one_line(uncle("mesh", "--run", run.root, "--min-confidence", "1e-9"))
-    assert "no surface" in message or "min-confidence" in message
+    assert "larger --min-confidence" in message
     run.mesh_path.unlink()
     assert "Wrote" in uncle("mesh", "--run", run.root, "--no-clean").stderr
+
+
+def test_vertices_that_are_not_sure_enough_are_left_out(run):
+    assert uncle_map(run).exit_code == 0
+    assert uncle("mesh", "--run", run.root, "--no-clean").exit_code == 0
+    everything = Mesh.load(run.mesh_path)
+    limit = float(np.median(everything.confidence))
+    result = uncle("mesh", "--run", run.root, "--no-clean", "--min-confidence", limit)
+    assert result.exit_code == 0, result.output
+    sure = Mesh.load(run.mesh_path)
+    assert sure.confidence.max() <= limit + 1e-7
+    assert 0.3 * len(everything.vertices) < len(sure.vertices) <= 0.55 * len(everything.vertices)
+    kept = {tuple(vertex) for vertex in sure.vertices}
+    assert kept <= {tuple(vertex) for vertex in everything.vertices[everything.confidence <= limit + 1e-7]}
+    assert run.manifest.stages["mesh"].facts["min_confidence_m"] == limit
+    assert "done and unchanged" in uncle("mesh", "--run", run.root, "--no-clean", "--min-confidence", limit).stderr
+    assert "Wrote" in uncle("mesh", "--run", run.root, "--no-clean").stderr
+    assert len(Mesh.load(run.mesh_path).vertices) == len(everything.vertices)
 
 
 def test_baseline(run):

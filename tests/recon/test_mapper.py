@@ -176,6 +176,48 @@ def test_state_continues_bit_for_bit():
         assert torch.equal(ours, theirs)
 
 
+def test_share_of_a_sensor_is_its_part_of_the_weights_around_the_surface():
+    """Against the weights that each sensor alone adds to samples within the truncation band."""
+    names = ("a", "b")
+    both = make_mapper("fusion.voxel_size_m=0.03", sensors=names)
+    both.noise["b"].layers[-1].bias.data.add_(1.0)  # another weight
+    frame = make_frame(0, 1.515, 2.515, names=names)  # both bands hold 8 layers of samples
+    frame.depths["a"][:, 40:] = 0.0  # sees half of the image
+    features = both.features(frame, dict.fromkeys(names, NORMALS))
+    alone = {}
+    for name in names:
+        mapper = make_mapper("fusion.voxel_size_m=0.03", sensors=names)
+        mapper.noise = both.noise
+        only = {other: depth if other == name else depth * 0 for other, depth in frame.depths.items()}
+        mapper.volume.allocate(frame.depths[name], torch.eye(4))
+        mapper.fuse(Frame(0, 0, frame.color, only, torch.eye(4).numpy()), features, torch.eye(4))
+        assert mapper.sensor_share()[name] == pytest.approx(1.0)
+        near = (mapper.volume.sdf().abs() < mapper.volume.truncation_m - 1e-6) & (mapper.volume.counts() > 0)
+        alone[name] = float(mapper.volume.sums[near, 0].sum())
+    both.fuse(frame, features, torch.eye(4))
+    share = both.sensor_share()
+    assert sum(share.values()) == pytest.approx(1.0)
+    assert share["a"] == pytest.approx(alone["a"] / sum(alone.values()), rel=0.03)
+    assert 0.15 < share["a"] < 0.85
+    again = make_mapper("fusion.voxel_size_m=0.03", sensors=names)
+    again.load_state_dict(both.state_dict())
+    assert again.sensor_share() == share
+    again.forget_readings()
+    assert again.sensor_share() == {"a": 0.0, "b": 0.0}
+    assert not again.volume.sums.any()
+
+
+def test_share_of_a_frame_that_is_fused_again_counts_once():
+    mapper = make_mapper("tracking.enabled=true", "fusion.blur_voxels=0")
+    frame, moved = make_frame(0, 2.0), torch.eye(4)
+    moved[0, 3] = 0.2
+    explore(mapper, frame)
+    before = dict(mapper.said)
+    mapper.refuse(frame, mapper.features(frame, {"a": NORMALS}), moved)
+    assert mapper.said["a"] == pytest.approx(before["a"], rel=1e-6)
+    assert before["a"] > 0
+
+
 def test_weights_have_a_floor_below_the_typical_one_of_their_image():
     mapper, valid = make_mapper("fusion.blur_voxels=0"), torch.tensor([[True, True, True, False]])
     beta = torch.tensor([[1.0, 0.1, 0.05, 0.01]])  # the sharpest is no reading

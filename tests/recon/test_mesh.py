@@ -83,7 +83,7 @@ def test_least_confidence():
     assert mesh.confidence.max() <= 0.01
     assert -0.7 < mesh.vertices[:, 0].min() < -0.5
     assert mesh.vertices[:, 0].max() < 0.02
-    with pytest.raises(DataError):
+    with pytest.raises(DataError, match=r"0\.1 cm.*--min-confidence"):
         mesh_of(field, max_sigma_m=0.001)
 
 
