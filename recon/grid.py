@@ -72,12 +72,15 @@ class SparseGrid:
     def sample_rows(self, samples: Tensor) -> Tensor:
         """(..., 3) int64 sample coordinates -> (...) int64 rows, -1 where there is no block."""
         if samples.device.type == "cpu":
-            flat = samples.reshape(-1, 3).numpy()
-            rows = _rows_of(flat, self._volume.numpy(), self._origin.numpy())
+            rows = _rows_of(samples.reshape(-1, 3).numpy(), *self.lookup())
             return torch.from_numpy(rows).view(samples.shape[:-1])
         ids = self.block_ids(samples >> 3)
         x, y, z = (samples & 7).unbind(-1)
         return torch.where(ids >= 0, ids * ROWS + (x * BLOCK + y) * BLOCK + z, -1)
+
+    def lookup(self) -> tuple[np.ndarray, np.ndarray]:
+        """What compiled loops find rows by, on the CPU: ids (X, Y, Z) of the blocks around the origin (3,)."""
+        return self._volume.numpy(), self._origin.numpy()
 
     def nearest_rows(self, points: Tensor) -> Tensor:
         """(..., 3) world points, metres -> (...) int64 row of the nearest sample, -1 where there is none."""
@@ -127,15 +130,20 @@ def unique_blocks(blocks: Tensor) -> Tensor:
 
 
 @njit(nogil=True, cache=True)
+def row_of(x, y, z, volume, origin):
+    """`SparseGrid.sample_rows` of one sample, for compiled loops; volume and origin from `SparseGrid.lookup`."""
+    i, j, k = (x >> 3) - origin[0], (y >> 3) - origin[1], (z >> 3) - origin[2]
+    if i < 0 or j < 0 or k < 0 or i >= volume.shape[0] or j >= volume.shape[1] or k >= volume.shape[2]:
+        return -1
+    block = np.int64(volume[i, j, k])
+    return block * ROWS + (((x & 7) << 6) | ((y & 7) << 3) | (z & 7)) if block >= 0 else -1
+
+
+@njit(nogil=True, cache=True)
 def _rows_of(samples, volume, origin):
-    """`SparseGrid.sample_rows`, compiled: most of the time of a lookup went into passes over the coordinates."""
-    rows = np.full(len(samples), -1, np.int64)
-    size_x, size_y, size_z = volume.shape
+    rows = np.empty(len(samples), np.int64)
     for index in range(len(samples)):
-        sx, sy, sz = samples[index, 0], samples[index, 1], samples[index, 2]
-        x, y, z = (sx >> 3) - origin[0], (sy >> 3) - origin[1], (sz >> 3) - origin[2]
-        if 0 <= x < size_x and 0 <= y < size_y and 0 <= z < size_z and volume[x, y, z] >= 0:
-            rows[index] = volume[x, y, z] * np.int64(ROWS) + (((sx & 7) << 6) | ((sy & 7) << 3) | (sz & 7))
+        rows[index] = row_of(samples[index, 0], samples[index, 1], samples[index, 2], volume, origin)
     return rows
 
 

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import numpy as np
 import torch
+from numba import njit
 from torch import Tensor
 
-from .grid import SparseGrid
+from .grid import SparseGrid, row_of
 
 CHUNK = 8192  # rays at a time: about 100 MB
 _FINE = 9  # interpolated samples around a coarse crossing
@@ -19,6 +21,18 @@ def cast_rays(
     sdf (R,) metres and known (R,) bool by grid row; origins (N, 3); directions (N, 3) with unit z-component in the
     camera (`Camera.rays`, rotated). `step_m` must not exceed the truncation. Returns (N,) metres, 0 = no hit.
     """
+    if sdf.device.type == "cpu":
+        rays = (np.ascontiguousarray(part.numpy(), dtype=np.float32) for part in (origins, directions))
+        steps = int(far_m / step_m) + 1
+        found = _march(*rays, sdf.numpy(), known.numpy(), *grid.lookup(), grid.voxel_size_m, step_m, steps)
+        return torch.from_numpy(found)
+    return cast_tensors(grid, sdf, known, origins, directions, far_m, step_m)
+
+
+def cast_tensors(
+    grid: SparseGrid, sdf: Tensor, known: Tensor, origins: Tensor, directions: Tensor, far_m: float, step_m: float
+) -> Tensor:
+    """`cast_rays` on any device, as plain tensor operations; the oracle of the compiled loop."""
     depth = torch.zeros(len(directions), device=directions.device)
     steps = torch.arange(1, int(far_m / step_m) + 2, device=directions.device) * step_m
     for start in range(0, len(directions), CHUNK):
@@ -52,3 +66,58 @@ def _first_crossing(values: Tensor) -> tuple[Tensor, Tensor]:
     """(N, S) with nan = unknown -> whether a positive value is followed by a negative one, where first; (N,) each."""
     crossing = (values[:, :-1] > 0) & (values[:, 1:] <= 0)
     return crossing.any(1), crossing.int().argmax(1)
+
+
+@njit(nogil=True, cache=True)
+def _march(origins, directions, sdf, known, volume, origin, voxel, step, steps):
+    """Coarse steps by the nearest sample until the sign changes; then interpolated ones around that place."""
+    depth = np.zeros(len(directions), np.float32)
+    for ray in range(len(directions)):
+        before = np.nan
+        for count in range(1, steps + 1):
+            value = _nearest(origins[ray], directions[ray], count * step, sdf, known, volume, origin, voxel)
+            if before > 0 and value <= 0:
+                start = (count - 1) * step - 0.5 * step
+                depth[ray] = _refined(origins[ray], directions[ray], start, 2.0 * step / (_FINE - 1), sdf, known,
+                                      volume, origin, voxel)  # fmt: skip
+                break
+            before = value
+    return depth
+
+
+@njit(nogil=True, cache=True)
+def _refined(start, direction, first, spacing, sdf, known, volume, origin, voxel):
+    before, z = np.nan, first
+    for _ in range(_FINE):
+        value = _interpolated(start, direction, z, sdf, known, volume, origin, voxel)
+        if before > 0 and value <= 0:
+            return z - spacing * value / (value - before)
+        before = value
+        z += spacing
+    return 0.0
+
+
+@njit(nogil=True, cache=True)
+def _nearest(start, direction, z, sdf, known, volume, origin, voxel):
+    """Distance at the sample nearest to the point; NaN where it is not known."""
+    x = np.int64(np.rint((start[0] + direction[0] * z) / voxel))
+    y = np.int64(np.rint((start[1] + direction[1] * z) / voxel))
+    row = row_of(x, y, np.int64(np.rint((start[2] + direction[2] * z) / voxel)), volume, origin)
+    return sdf[row] if row >= 0 and known[row] else np.nan
+
+
+@njit(nogil=True, cache=True)
+def _interpolated(start, direction, z, sdf, known, volume, origin, voxel):
+    """Trilinear distance at the point; NaN where one of the samples around is not known."""
+    x, y = (start[0] + direction[0] * z) / voxel, (start[1] + direction[1] * z) / voxel
+    w = (start[2] + direction[2] * z) / voxel
+    i, j, k = np.int64(np.floor(x)), np.int64(np.floor(y)), np.int64(np.floor(w))
+    x, y, w = x - i, y - j, w - k
+    total = 0.0
+    for corner in range(8):
+        a, b, c = corner >> 2, (corner >> 1) & 1, corner & 1
+        row = row_of(i + a, j + b, k + c, volume, origin)
+        if row < 0 or not known[row]:
+            return np.nan
+        total += sdf[row] * (x if a else 1 - x) * (y if b else 1 - y) * (w if c else 1 - w)
+    return total

@@ -3,7 +3,7 @@
 import pytest
 import torch
 from uncle.recon.grid import SparseGrid
-from uncle.recon.raycast import cast_rays
+from uncle.recon.raycast import cast_rays, cast_tensors
 
 VOXEL, TRUNCATION = 0.02, 0.08
 
@@ -76,3 +76,17 @@ def test_chunks_do_not_show(rays):
     origins, directions = rays
     many = cast(scene, (origins.repeat(3, 1), directions.repeat(3, 1)))
     torch.testing.assert_close(many, cast(scene, rays).repeat(3))
+
+
+def test_compiled_equals_tensors(rays):
+    """A bumpy surface with unknown samples scattered about: some rays miss, some lose their crossing."""
+    grid, sdf, known = volume(lambda p: 0.3 - p[:, 2] + 0.1 * torch.sin(9 * p[:, 0]) * torch.cos(7 * p[:, 1]), -5, 5)
+    known &= torch.rand(len(known), generator=torch.Generator().manual_seed(1)) > 0.01
+    found = cast_rays(grid, sdf, known, *rays, far_m=3.0, step_m=0.06)
+    expected = cast_tensors(grid, sdf, known, *rays, far_m=3.0, step_m=0.06)
+    hit = expected > 0
+    assert 0.5 < hit.float().mean() < 0.99
+    # A point on the border of two samples may fall to either, by the last bit of its position.
+    assert ((found > 0) == hit).float().mean() > 0.99
+    both = hit & (found > 0)
+    assert ((found - expected)[both].abs() < 1e-5).float().mean() > 0.995
