@@ -101,6 +101,19 @@ class TrackingConfig(_Strict):
     keyframe_shift: float = Field(0.05, gt=0, description="or moved by more than this share of the depth it sees.")
 
 
+class HealthConfig(_Strict):
+    """Noticing sensors that drop out, freeze or go wrong in the middle of a recording."""
+
+    enabled: bool = Field(True, description="Leave out what a sensor reads while it is at fault; false: believe it.")
+    min_readings: float = Field(
+        0.05, ge=0, lt=1, description="A sensor is missing in a frame with at most this share of its usual readings."
+    )
+    max_bias: float = Field(
+        0.03, gt=0, description="A median error against the map beyond its usual one by this share of depth is borne."
+    )
+    max_scatter: float = Field(0.05, gt=0, description="So is this median deviation from that error.")
+
+
 class MapConfig(_Strict):
     """Everything that decides the result of `uncle map`."""
 
@@ -116,6 +129,7 @@ class MapConfig(_Strict):
         0, ge=0, description="Every n-th frame is kept out of the map, to be scored by `uncle eval`; 0: none."
     )
     tracking: TrackingConfig = TrackingConfig()
+    health: HealthConfig = HealthConfig()
     fusion: FusionConfig = FusionConfig()
     uncertainty: UncertaintyConfig = UncertaintyConfig()
     keyframes: KeyframeConfig = KeyframeConfig()

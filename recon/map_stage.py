@@ -8,6 +8,7 @@ import resource
 import shutil
 import sys
 import time
+from collections import Counter
 from dataclasses import dataclass
 from typing import Any
 
@@ -15,6 +16,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from . import sensor_record
 from .checkpoint import Checkpoint, load_tensors, save_tensors
 from .config import MapConfig, to_toml
 from .errors import ConfigError, DataError, RunError
@@ -25,6 +27,7 @@ from .noise_prior import NoisePrior, save_noise_models
 from .pipeline import choose_device, choose_tracker, reconstruct
 from .recording import RunFrames
 from .run import Manifest, RunDirectory, config_hash
+from .sensor_health import SensorHealth
 from .storage import BETA_UNITS_PER_M, encode_metres, explain_write_errors, write_image, write_text
 from .tracking import GivenPoses, Tracker, require_found
 from .tracking_record import TrackingRecord
@@ -163,6 +166,7 @@ def _reconstruct(run, frames, indices, config, checkpoint, prior, on_event):
     seconds = {name: round(value, 2) for name, value in made.seconds.items()}
     facts = {"seconds": seconds, "keyframes": len(made.mapper.selector.T_camera_world)}
     facts["sensor_share"] = {sensor: round(share, 4) for sensor, share in made.mapper.sensor_share().items()}
+    facts |= _report_health(run, made.mapper.health, on_event)
     if config.uncertainty.enabled:
         save_noise_models(run.noise_model_path, made.mapper.noise)
     return made.field, made.poses, made.tracking, facts
@@ -204,6 +208,18 @@ def _report_lost(tracking: TrackingRecord, on_event: OnEvent) -> None:
         on_event(Warn(text))
 
 
+def _report_health(run: RunDirectory, health: SensorHealth, on_event: OnEvent) -> dict[str, Any]:
+    """Write what was wrong with the sensors, and say it; facts: by sensor and reason, frames that were left out."""
+    sensor_record.save(run.sensors_path, health.verdicts)
+    left_out: dict[str, Any] = {}
+    for sensor, verdicts in health.verdicts.items():
+        for sentence in sensor_record.describe(sensor, verdicts):
+            on_event(Warn(sentence))
+        counts = Counter(verdict for verdict in verdicts.values() if verdict != "ok")
+        left_out |= {sensor: dict(counts)} if counts else {}
+    return {"left_out": left_out} if left_out else {}
+
+
 def _require_surface(field: NeuralField) -> None:
     if not bool(field.known.any()):
         raise DataError("nothing was seen often enough to make a surface; map more frames or lower fusion.min_readings")
@@ -230,3 +246,4 @@ def _drop_earlier_map(run: RunDirectory) -> None:
         run.curves_path.unlink(missing_ok=True)
         run.noise_model_path.unlink(missing_ok=True)
         run.tracking_path.unlink(missing_ok=True)
+        run.sensors_path.unlink(missing_ok=True)

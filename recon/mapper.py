@@ -17,6 +17,7 @@ from .grid import SparseGrid
 from .keyframes import KeyframeSelector, RayStore
 from .noise_features import noise_features
 from .raycast import cast_rays
+from .sensor_health import SensorHealth
 from .uncertainty import NoiseModel
 
 WEIGHT_SCALE_M = 0.01  # a reading with this beta weighs 1
@@ -42,6 +43,7 @@ class Mapper:
         self.rays = RayStore(config.keyframes.max_rays)
         self.log = FusionLog()  # used while poses can still change
         self.said = dict.fromkeys(sensors, 0.0)  # weight of all readings of each sensor in the map
+        self.health = SensorHealth(camera, sensors, config.health, poses_given=not config.tracking.enabled)
 
     # --- one frame ---------------------------------------------------------------------------------------------
     def explore(self, frame: Frame, features: dict[str, Tensor], T_world_camera: Tensor) -> dict[str, Tensor]:
@@ -143,6 +145,17 @@ class Mapper:
             return {}
         return {s: noise_features(d, normals[s], frame.color, self.camera) for s, d in frame.depths.items()}
 
+    def judge(self, frame: Frame, T_world_camera: Tensor) -> Frame:
+        """The frame, looked at by `health`, without the sensors that are at odds with the map as it is before it."""
+        if not self.volume.grid.rows or not self.config.health.enabled:
+            return frame
+        rays = self.health.rays.to(self.device) @ T_world_camera[:3, :3].T
+        predicted = cast_rays(
+            self.volume.grid, self.volume.sdf(), self.known(), T_world_camera[:3, 3].repeat(len(rays), 1), rays,
+            self.volume.ray_far_m, self.volume.ray_step_m,
+        )  # fmt: skip
+        return self.health.compare(frame, predicted.cpu(), self.volume.max_depth_m)
+
     # --- the whole map -----------------------------------------------------------------------------------------
     def learn(self) -> dict[str, float]:
         """Fit the noise models to the residuals of all keyframe rays against the whole map; returns the mean nats."""
@@ -217,6 +230,7 @@ class Mapper:
             "rays": self.rays.columns,
             "log": self.log.state_dict(),
             "said": self.said,
+            "health": self.health.state_dict(),
             "generator": self.generator.get_state(),
         }
 
@@ -231,6 +245,7 @@ class Mapper:
         self.rays.columns = {name: values.to(self.device) for name, values in state["rays"].items()}
         self.log.load_state_dict(state["log"])
         self.said = dict(state["said"])
+        self.health.load_state_dict(state["health"])
         self.generator.set_state(state["generator"].cpu())
 
 

@@ -131,14 +131,15 @@ def choose_tracker(frames: RunFrames, config: MapConfig, mapper: Mapper | None) 
 
 
 def _explore(view: View, frames: RunFrames, mapper: Mapper, tracker: Tracker, progress: Progression) -> None:
-    """Track, map, record."""
-    frame, tracking = view.frame, mapper.config.tracking
+    """Track, judge the sensors, map, record."""
+    frame, tracking = mapper.health.look(view.frame), mapper.config.tracking
     with _timed(progress, "tracking"):
-        T_world_camera = tracker.track(frame, view.prepared, view.features)
+        T_world_camera = tracker.track(mapper.health.without_suspects(frame), view.prepared, view.features)
     if T_world_camera is None:
         return
     with _timed(progress, "sweep 1"):
         _follow(frames, mapper, tracker)
+        frame = mapper.judge(frame, mapper.pose(T_world_camera))
         if not tracking.enabled or tracker.is_keyframe() or progress.position % tracking.explore_every == 0:
             mapper.explore(frame, view.features, mapper.pose(T_world_camera))
     progress.poses[frame.index] = np.asarray(T_world_camera).tolist()
@@ -180,9 +181,13 @@ def _fuse(view: View, mapper: Mapper, progress: Progression) -> None:
 
 
 def _views(frames: RunFrames, indices: list[int], mapper: Mapper, tracker: Tracker | None = None) -> Iterator[View]:
-    """Frames with their features, both made in the background while the frame before is being mapped."""
+    """Frames with their features, both made in the background while the frame before is being mapped.
+
+    Sensors that were found to be at fault in a frame read nothing there.
+    """
 
     def prepare(frame: Frame) -> View:
+        frame = mapper.health.believed(frame)
         normals = {sensor: frames.normals(frame.index, sensor) for sensor in frames.sensors}
         return View(frame, mapper.features(frame, normals), tracker.prepare(frame, normals) if tracker else None)
 

@@ -90,6 +90,10 @@ class RunDirectory:
         return self.root / "tracking.json"
 
     @property
+    def sensors_path(self) -> Path:
+        return self.root / "sensors.json"
+
+    @property
     def field_path(self) -> Path:
         return self.root / "map" / "field.pt"
 
