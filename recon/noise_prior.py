@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import json
 from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
@@ -18,6 +19,7 @@ from .run import RunDirectory
 from .uncertainty import NoiseModel
 
 FORMAT, VERSION = "uncle noise models", 1
+SHAPE = ("hidden", "inputs", "features", "beta_min_m")  # of a model; what it reads, and what of that it sees
 
 
 def save_noise_models(path: Path, noise: dict[str, NoiseModel]) -> None:
@@ -26,7 +28,8 @@ def save_noise_models(path: Path, noise: dict[str, NoiseModel]) -> None:
         name: {
             "weights": {key: values.detach().cpu() for key, values in model.state_dict().items()},
             "hidden": model.config.hidden,
-            "features": list(FEATURES),
+            "inputs": list(FEATURES),
+            "features": _seen(model),
             "beta_min_m": model.config.beta_min_m,
         }
         for name, model in noise.items()
@@ -62,7 +65,7 @@ class NoisePrior:
         """Short hash of what the models are; not of where the file is."""
         content = hashlib.sha256()
         for name, entry in sorted(self.sensors.items()):
-            content.update(repr((name, entry["hidden"], entry["features"], entry["beta_min_m"])).encode())
+            content.update(repr((name, *(entry[key] for key in SHAPE))).encode())
             for key, values in sorted(entry["weights"].items()):
                 content.update(repr((key, tuple(values.shape), values.dtype)).encode())
                 content.update(values.contiguous().numpy().tobytes())
@@ -92,12 +95,15 @@ class NoisePrior:
     def _start(self, sensor: str, model: NoiseModel) -> None:
         entry = self.sensors[sensor]
         where = f"--prior {self.path}, sensor {sensor}"
-        if tuple(entry["features"]) != tuple(FEATURES):
-            other = sorted(set(entry["features"]) ^ set(FEATURES))
+        if entry["inputs"] != list(FEATURES):
+            other = sorted(set(entry["inputs"]) ^ set(FEATURES))
             raise ConfigError(
                 f"{where}: made for other features ({', '.join(other) or 'in another order'}), by another version; "
                 "map that recording again with this one"
             )
+        if entry["features"] != _seen(model):
+            setting = json.dumps(entry["features"])
+            raise ConfigError(f"{where}: it sees other inputs; add --set 'uncertainty.features={setting}'")
         if entry["hidden"] != model.config.hidden:
             raise ConfigError(
                 f"{where}: its layers are {entry['hidden']} wide, here {model.config.hidden}; "
@@ -110,6 +116,10 @@ class NoisePrior:
                 f"{where}: a network of another shape, by another version; map that recording again with this one"
             ) from error
         model.has_prior = True
+
+
+def _seen(model: NoiseModel) -> list[str]:
+    return [name for name, seen in zip(FEATURES, model.seen.tolist(), strict=True) if seen]
 
 
 def _read(path: Path) -> dict[str, dict[str, Any]]:
@@ -129,7 +139,7 @@ def _read(path: Path) -> dict[str, dict[str, Any]]:
 
 
 def _is_entry(entry: Any) -> bool:
-    if not isinstance(entry, dict) or not {"weights", "hidden", "features", "beta_min_m"} <= entry.keys():
+    if not isinstance(entry, dict) or not {"weights", *SHAPE} <= entry.keys():
         return False
     weights = entry["weights"]
     return isinstance(weights, dict) and all(isinstance(values, torch.Tensor) for values in weights.values())
