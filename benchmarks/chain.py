@@ -25,7 +25,7 @@ from common import (
 
 BASELINE = "tsdf"  # knows no seed: scored once, timed BASELINE_TIMES between the other runs
 BASELINE_TIMES = 3
-UNCERTAINTY = ("rank_correlation", "nll_nats", "nll_constant_nats", "coverage_50", "coverage_90")
+UNCERTAINTY = ("rank_correlation", "nll_nats", "nll_constant_nats", "coverage_50", "coverage_90", "ause", "ause_gain")
 # heading, key in the record, factor, digits, whether minimum and maximum are shown
 SCENE_COLUMNS = (
     ("F 5 cm %", "f_score_5cm", 100, 2, True), ("F 2 cm %", "f_score_2cm", 100, 2, True),
@@ -38,6 +38,7 @@ SENSOR_COLUMNS = (
     ("rank corr.", "rank_correlation", 1, 3, True),
     ("NLL nats", "nll_nats", 1, 3, False), ("NLL constant", "nll_constant_nats", 1, 3, False),
     ("50 % covers %", "coverage_50", 100, 1, False), ("90 % covers %", "coverage_90", 100, 1, False),
+    ("AUSE", "ause", 1, 3, False), ("closer than depth alone %", "ause_gain", 100, 1, False),
 )  # fmt: skip
 
 
@@ -107,13 +108,23 @@ def execute(job: Job, base: Path, run: Path) -> Record:
     options += sensor_options(job.sensors)
     options += ["--hold-out", str(job.hold_out)] if job.hold_out else []
     wall_s = uncle("map", "--run", run, *options, "--seed", 0 if job.method == BASELINE else job.seed)
-    facts = map_facts(run)
-    costs = {"wall_s": wall_s, "stage_seconds": facts["seconds"], "peak_memory_mb": facts["peak_memory_mb"]}
+    found = job._asdict() | map_costs(run, wall_s)
     if job.method == BASELINE and job.seed > 0:
-        return job._asdict() | costs  # the same map as before: only its time is wanted
+        return found  # the same map as before: only its time is wanted
+    return found | scores(evaluate(run))
+
+
+def map_costs(run: Path, wall_s: float) -> Record:
+    """Time and memory of the map of `run`, which took `wall_s` as a process."""
+    facts = map_facts(run)
+    return {"wall_s": wall_s, "stage_seconds": facts["seconds"], "peak_memory_mb": facts["peak_memory_mb"]}
+
+
+def evaluate(run: Path) -> Record:
+    """Mesh and score a finished map; what `RUN/metrics.json` then says. Raises RuntimeError."""
     uncle("mesh", "--run", run, "--overwrite")
     uncle("eval", "--run", run, "--json")
-    return job._asdict() | costs | scores(json.loads((run / "metrics.json").read_text()))
+    return json.loads((run / "metrics.json").read_text())
 
 
 def parse(arguments: list[str] | None = None) -> argparse.Namespace:

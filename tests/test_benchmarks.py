@@ -38,7 +38,7 @@ def test_keys_tell_sensors_and_held_out_frames_apart():
 
 def test_scores_are_taken_by_threshold_and_sensor():
     score = {"threshold_m": 0.05, "f_score": 0.9, "precision": 0.8, "recall": 0.7}
-    uncertainty = dict.fromkeys(chain.UNCERTAINTY, 0.5) | {"ause": 1.0}
+    uncertainty = dict.fromkeys(chain.UNCERTAINTY, 0.5) | {"readings": 9}
     depth = {"l1_m": 0.02, "median_m": 0.01, "completeness": 0.99, "sensor": "depth"}
     mesh = {"scores": [score, {**score, "threshold_m": 0.02, "f_score": 0.6}], "accuracy_mean_m": 0.01}
     found = chain.scores(
@@ -83,7 +83,7 @@ def test_markdown_has_a_row_per_method_and_leaves_empty_columns_out():
         "| room | sl | uncle | 2 | 90.00 [90.00, 90.00] | 5.0 | 2.50 |",
     ]
     assert sensors.splitlines()[2] == (
-        "| room | sl | uncle | sl | 2 | 0.250 [0.250, 0.250] | 0.250 | 0.250 | 25.0 | 25.0 |"
+        "| room | sl | uncle | sl | 2 | 0.250 [0.250, 0.250] | 0.250 | 0.250 | 25.0 | 25.0 | 0.250 | 25.0 |"
     )
     assert len(sensors.splitlines()) == 3
 
