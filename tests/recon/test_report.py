@@ -97,6 +97,14 @@ def test_calibration_is_shown_for_the_mesh_and_for_all_together(full_run):
     assert write_report(full_run, "raycast").read_text().count("<img") == before + 2
 
 
+def test_sensors_are_set_side_by_side(full_run):
+    assert 'share in the map</td><td class="number">-</td>' in write_report(full_run, "raycast").read_text()
+    full_run.finish_stage("map", "0", time.time(), {"sensor_share": {"noisy": 0.625}})
+    page = write_report(full_run, "raycast").read_text()
+    assert 'share in the map</td><td class="number">62.5</td><td>%</td>' in page
+    assert re.search(r"beta at 2 m</td><td class=\"number\">(3\.9|4\.[01])\d</td><td>cm</td>", page)
+
+
 def test_names_are_escaped(page):
     assert NASTY not in page
     assert page.count("&lt;script&gt;alert") >= 4  # title, metrics, facts, configuration
