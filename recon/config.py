@@ -109,9 +109,9 @@ class HealthConfig(_Strict):
         0.05, ge=0, lt=1, description="A sensor is missing in a frame with at most this share of its usual readings."
     )
     max_bias: float = Field(
-        0.03, gt=0, description="A median error against the map beyond its usual one by this share of depth is borne."
+        0.03, gt=0, description="A median error against the map is borne, if earlier ones reach to this share of depth."
     )
-    max_scatter: float = Field(0.05, gt=0, description="So is this median deviation from that error.")
+    max_scatter: float = Field(0.05, gt=0, description="So is this median deviation from it, as a share of depth.")
 
 
 class MapConfig(_Strict):

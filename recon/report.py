@@ -127,6 +127,7 @@ def _sensors(run: RunDirectory, on_event: OnEvent) -> str:
     parts = [_trust(run, readings)]
     for sensor in readings:
         parts.append(heading(f"Sensor {sensor}"))
+        parts.append(_faults(run, sensor))
         if sensor in sheets:
             picture = sheets[sensor].read_bytes()
             parts.append(embed_picture(picture, "All sensors share these scales.", photographic=True))
@@ -137,6 +138,14 @@ def _sensors(run: RunDirectory, on_event: OnEvent) -> str:
     caption = "Reliability of all that states an uncertainty: how much of the truth lies within what was promised."
     parts.append(_embed_chart(reliability_chart(reliability_curves(metrics)), caption))
     return "\n".join(filter(None, parts)) or missing("The run has no sensor but the ground truth.")
+
+
+def _faults(run: RunDirectory, sensor: str) -> str:
+    """What was wrong with a sensor while the map was made."""
+    sensors = (_read_json(run.sensors_path) or {}).get("sensors")
+    facts = sensors.get(sensor) if isinstance(sensors, dict) else None
+    sentences = facts.get("sentences") if isinstance(facts, dict) else None
+    return "".join(explain(str(sentence)) for sentence in sentences) if isinstance(sentences, list) else ""
 
 
 def _trust(run: RunDirectory, readings: dict[str, Readings | None]) -> str:

@@ -25,9 +25,7 @@ SAMPLES = 700  # rays of a frame that are compared with the map: the median of s
 MIN_COMPARED = 70  # readings that meet the map: with fewer the verdict before stands
 HISTORY = 60  # frames back that say what is usual of a sensor
 MIN_HISTORY = 5  # frames before anything is called unusual
-USUAL_SIGMAS = 6.0  # a bias further off is unusual
-SCATTER_TIMES = 4.0  # so is a scatter that is so much larger
-_SIGMA_OF_MAD = 1.4826  # of a normal distribution
+SCATTER_TIMES = 4.0  # the usual scatter is unusual
 _STRIDE = 4  # pixels: an image is recognised by a part of them
 _SAME_M = 1.1e-3  # depth is stored in millimetres
 _SAME_SHARE = 0.99  # of the readings repeat: the image is the same one
@@ -177,12 +175,13 @@ def compare_depths(depth: Tensor, predicted: Tensor, max_depth_m: float) -> Comp
 
 
 def is_unusual(now: Comparison, biases: list[float], scatters: list[float], config: HealthConfig) -> bool:
-    """Whether a frame is off by far more than those before it, and by more than the configuration bears anyway."""
+    """Whether a frame is off as none of those before it was: beyond all their biases, or far more scattered.
+
+    All of them and not their spread: the bias of a sensor wanders with the depth that it sees, and a fault is a jump.
+    """
     if len(biases) < MIN_HISTORY:
         return False
-    usual = float(np.median(biases))
-    sigma = _SIGMA_OF_MAD * float(np.median(np.abs(np.array(biases) - usual)))
-    if abs(now.bias - usual) > max(config.max_bias, USUAL_SIGMAS * sigma):
+    if not min(biases) - config.max_bias < now.bias < max(biases) + config.max_bias:
         return True
     return now.scatter > max(config.max_scatter, SCATTER_TIMES * float(np.median(scatters)))
 

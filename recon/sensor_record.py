@@ -12,7 +12,8 @@ from typing import Any
 from .sensor_health import Verdict
 from .storage import write_text
 
-MIN_FRAMES = 3  # in a row are worth a word; shorter stretches stand in the file alone
+MIN_FRAMES = 3  # in a row are worth a word; shorter stretches stand in the file alone,
+MIN_SHARE = 0.1  # unless there are many: a slower sensor has nothing new in every other frame
 MAX_STRETCHES = 5  # are named
 _WORDS: dict[Verdict, str] = {
     "missing": "no readings",
@@ -50,7 +51,7 @@ def describe(sensor: str, verdicts: Mapping[int, Verdict]) -> list[str]:
         count = sum(stretch.frames for stretch in all_of_it)
         if long and len(long) <= MAX_STRETCHES:
             where = " and ".join(f"from frame {stretch.first} to {stretch.last}" for stretch in long)
-        elif count >= MIN_FRAMES:  # a slower sensor has no image in every other frame
+        elif count > MIN_SHARE * len(verdicts) and count >= MIN_FRAMES:
             where = f"in {count} of {len(verdicts)} frames"
         else:
             continue

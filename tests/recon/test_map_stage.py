@@ -2,6 +2,7 @@
 
 import json
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -200,6 +201,22 @@ def test_broken_run_resumes_to_the_same_bytes(make_mappable_run, frequent_checkp
         map_run(run, settings(), resume=True, on_event=events.append)
         assert any(isinstance(event, Note) and "continuing" in event.text for event in events), stage
         assert results(run) == expected, stage
+
+
+def test_broken_run_remembers_what_was_wrong_with_a_sensor(make_mappable_run, frequent_checkpoints):
+    run, config, events = make_mappable_run(), settings(sensors=("gt", "noisy")), []
+    for index in range(5, 11):
+        shutil.copy(run.depth_path("noisy", 4), run.depth_path("noisy", index))
+    map_run(run, config, on_event=events.append)
+    assert Warn("noisy: frozen from frame 5 to 10, left out") in events
+    assert run.manifest.stages["map"].facts["left_out"] == {"noisy": {"frozen": 6}}
+    assert not RunFrames(run).beta(7, "noisy").any()
+    expected = results(run) | {"sensors": run.sensors_path.read_bytes()}
+    for stage, done in [("mapping", 7), ("fusing again", 3)]:
+        with pytest.raises(Broken):
+            map_run(run, config, overwrite=True, on_event=break_at(stage, done))
+        map_run(run, config, resume=True)
+        assert results(run) | {"sensors": run.sensors_path.read_bytes()} == expected, stage
 
 
 def test_a_broken_run_is_not_taken_for_a_finished_one(make_mappable_run):

@@ -205,6 +205,7 @@ def test_what_is_usual_of_a_poor_sensor_is_unusual_of_a_good_one():
     assert is_unusual(now, steady, [0.01] * 20, config)
     assert not is_unusual(now, restless, [0.01] * 20, config)
     assert not is_unusual(now, [0.05] * 20, [0.01] * 20, config)  # it was always that far off
+    assert not is_unusual(now, [*steady, 0.021], [0.01] * 21, config)  # it was on its way
     assert is_unusual(Comparison(0.0, 0.2, 500), steady, [0.01] * 20, config)
     assert not is_unusual(Comparison(0.0, 0.2, 500), steady, [0.1] * 20, config)
 

@@ -2,6 +2,8 @@
 
 import json
 
+from uncle.recon.report import _faults
+from uncle.recon.run import RunDirectory
 from uncle.recon.sensor_record import Stretch, describe, save, stretches
 
 
@@ -27,6 +29,7 @@ def test_sentences_name_what_lasted():
 
 def test_a_slow_sensor_is_one_sentence():
     assert describe("tof", spelled("om" * 20)) == ["tof: no readings in 20 of 40 frames"]
+    assert describe("tof", spelled("o" * 20 + "of" * 2)) == []
     assert describe("tof", spelled("ommmm" * 10)) == ["tof: no readings in 40 of 50 frames"]
 
 
@@ -36,3 +39,13 @@ def test_the_file_holds_every_frame_that_was_left_out(tmp_path):
     fault = {"why": "frozen", "first": 3, "last": 3, "frames": 1}
     assert sensors["a"] == {"frames": 5, "used": 4, "faults": [fault], "sentences": []}
     assert (sensors["b"]["used"], sensors["b"]["sentences"]) == (1, ["b: no readings from frame 1 to 4"])
+
+
+def test_the_report_repeats_what_was_said(tmp_path):
+    run = RunDirectory(tmp_path)
+    assert _faults(run, "b") == ""
+    save(run.sensors_path, {"a": spelled("ooooo"), "b": spelled("offff")})
+    assert "b: frozen from frame 1 to 4, left out" in _faults(run, "b")
+    assert _faults(run, "a") == _faults(run, "c") == ""
+    run.sensors_path.write_text('{"sensors": [1]}')
+    assert _faults(run, "b") == ""
