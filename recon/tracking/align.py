@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -9,7 +10,6 @@ from typing import Any
 
 import numpy as np
 import torch
-from scipy.spatial import cKDTree
 
 from ..camera import Camera
 from ..config import TrackingConfig
@@ -19,23 +19,22 @@ from ..tracking_record import Status, TrackedFrame, TrackingRecord
 from ..uncertainty import NoiseModel
 from .keyframe_graph import KeyframeGraph
 from .landmarks import Sighting
-from .local_features import match, match_near
+from .local_features import match, match_near, near_projections, project
 from .motion import angle, exceeds, inverse, motion_between, moved, transform
-from .pose_estimation import MIN_INLIERS, covariance_of, feature_term, is_weak, minimise, prior_term, ransac_pose
+from .pose_estimation import MIN_INLIERS, covariance_of, feature_term, is_weak, minimise, ransac_pose
 from .sightings import Prepared, prepare, readings_of, sight, surface_view, weigh
-from .surface_alignment import Readings, agreement, scaled, surface_term
+from .surface_alignment import Readings, scaled, surface_term
+from .surface_tracking import Held, expectation, followed, found_again, on_surface
+from .view_alignment import SurfaceView
 
 SEARCH_PX = 10.0  # around where a landmark is expected
 AGREES = 4.0  # sigmas
 SURE_MATCHES = 30  # fewer are believed only near the expected pose
 MIN_READINGS = 300
 JOINT_ITERATIONS = 3  # from where the features have it
-MIN_KNOWN, MIN_ON_SURFACE = 0.55, 0.6  # shares of the readings: below, the surface does not confirm a pose
 WORST_FIT = 2.5  # times the usual distance from the surface
-_COARSE_SCALE = 6.0  # of the robust kernel in the first pass against the surface
-_EXPECTED_M, _EXPECTED_RAD = 0.02, 0.02  # least uncertainty of a predicted motion
+_PLACES = 8  # keyframes at which a camera without features is looked for
 _FIT_RATE = 0.1  # how fast what is usual follows
-_HELD = 0.2  # of the surface's information proves that it shows a motion
 _FARTHEST_M, _FARTHEST_RAD = 0.5, 0.8  # a few matches do not prove a larger motion within one frame
 
 
@@ -87,8 +86,13 @@ class AlignTracker:
         features = prepared.features
         sighting = sight(frame, features, noise_features, self.noise, self.camera)
         readings = self._readings(frame, noise_features)
+        view = None
+        if self._featureless:
+            view = surface_view(frame, prepared, noise_features, self.noise, self.camera, self._reach)
         if not self.graph.sightings:
             found, status = self._begun(frame, sighting, readings)
+        elif self._featureless:
+            found, status = self._by_depth(view, readings)
         else:
             found, status = self._locate(sighting, features.descriptors, readings)
         self._note(frame, status, found)
@@ -101,8 +105,9 @@ class AlignTracker:
         self._lost = False
         sighting.pose = found.pose
         sighting.landmark[found.rows] = found.numbers
-        view = None
-        if self._is_keyframe(sighting, len(found.rows)):
+        if not self._is_keyframe(sighting, len(found.rows), view):
+            view = None
+        elif view is None:
             view = surface_view(frame, prepared, noise_features, self.noise, self.camera, self._reach)
         self.graph.add(sighting, features.descriptors, view)
         return self._last.pose
@@ -146,6 +151,11 @@ class AlignTracker:
     @property
     def _reach(self) -> float:
         return math.inf if self.volume is None else self.volume.max_depth_m
+
+    @property
+    def _featureless(self) -> bool:
+        """Whether no frame has shown a feature with depth: a recording without colour, or in the dark."""
+        return len(self.graph.landmarks) == 0 and self.volume is not None
 
     @property
     def _last(self) -> Sighting:
@@ -195,7 +205,7 @@ class AlignTracker:
         if len(kept) < SURE_MATCHES and exceeds(inverse(expected) @ pose, _FARTHEST_M, _FARTHEST_RAD):
             return None
         pose, _ = minimise(pose, [feature_term(self.camera, points, sighting.observations(*pairs[kept].T))])
-        pairs = match_near(similarity, self._near(pose, points, sighting.uv))
+        pairs = match_near(similarity, near_projections(self.camera, pose, points, sighting.uv, SEARCH_PX))
         found = self._agreeing(sighting, pose, pairs[:, 0], numbers[pairs[:, 1]])
         return found if len(found.rows) >= MIN_INLIERS else None
 
@@ -206,7 +216,7 @@ class AlignTracker:
             term = feature_term(self.camera, points, sighting.observations(rows, numbers))
             pose, information = minimise(pose, [term])
             local = transform(inverse(pose)[None], points[numbers])
-            off = (self._project(local) - sighting.uv[rows]) / sighting.sigma_px[rows, None]
+            off = (project(self.camera, local) - sighting.uv[rows]) / sighting.sigma_px[rows, None]
             kept = ((off**2).sum(1) < AGREES**2) & (local[:, 2] > 0)
             rows, numbers = rows[kept], numbers[kept]
         return _Found(pose, information, rows, numbers)
@@ -224,22 +234,29 @@ class AlignTracker:
 
     def _by_surface(self, readings: Readings, expected: np.ndarray) -> _Found | None:
         """Without features: the surface alone, held by the expected motion in directions that it does not show."""
-        step = motion_between(self._last.pose, expected)
-        sigma_m = max(_EXPECTED_M, float(np.linalg.norm(step[:3])))
-        sigma_rad = max(_EXPECTED_RAD, float(np.linalg.norm(step[3:])))
-        prior = prior_term(expected, np.diag([sigma_m**-2] * 3 + [sigma_rad**-2] * 3))
-        pose, _ = minimise(expected, [surface_term(self.volume, readings, scale=_COARSE_SCALE), prior])
-        readings = scaled(self.volume, readings, pose)
-        surface = surface_term(self.volume, readings)
-        pose, information = minimise(pose, [surface, prior])
-        known, on_surface = agreement(self.volume, readings, pose)
-        if known < MIN_KNOWN or on_surface < MIN_ON_SURFACE or not self._fits(readings.scale):
+        return self._confirmed(on_surface(self.volume, readings, expected, expectation(self._last.pose, expected)))
+
+    def _by_depth(self, view: SurfaceView, readings: Readings | None) -> tuple[_Found | None, Status]:
+        """In a recording without features: from the last keyframe on, else from any."""
+        if readings is None:
+            return None, "lost"
+        graph, last = self.graph, self._last.pose
+        newest, *others = [(graph.views[k], graph.sightings[k].pose) for k in graph.spread_keyframes(_PLACES)]
+        lost = sum(1 for _ in itertools.takewhile(lambda f: f.status == "lost", reversed(self.frames)))
+        near = followed(self.volume, readings, view, newest, last, last @ self._velocity, lost)
+        found = next(filter(None, map(self._confirmed, near)), None)
+        if found is not None and not self._lost:
+            return found, "weak"
+        if found is None:
+            again = found_again(self.volume, readings, view, [newest, *others])
+            found = next(filter(None, map(self._confirmed, again)), None)
+        return found, "lost" if found is None else "relocalised"
+
+    def _confirmed(self, held: Held | None) -> _Found | None:
+        if held is None or not self._fits(held.fit if self._featureless else held.scale):
             return None
         nothing = np.zeros(0, np.int64)
-        # Motion must die out where nothing shows it; noise makes even a plain wall seem to hold the camera a little.
-        seen = surface(pose).information
-        shown = np.linalg.solve(information - (1 - _HELD) * seen, _HELD * seen)
-        return _Found(pose, information, nothing, nothing, shown)
+        return _Found(held.pose, held.information, nothing, nothing, held.shown)
 
     def _fits(self, scale: float) -> bool:
         """Whether readings lie about as near to the surface as usual; if so, what is usual follows."""
@@ -257,19 +274,22 @@ class AlignTracker:
         found = self._agreeing(sighting, place.pose, place.rows, place.numbers)
         return found if len(found.rows) >= SURE_MATCHES // 2 else None
 
-    def _is_keyframe(self, sighting: Sighting, matches: int) -> bool:
-        """A frame that moved or lost sight of what is known, and can lend landmarks."""
+    def _is_keyframe(self, sighting: Sighting, matches: int, view: SurfaceView | None) -> bool:
+        """A frame that moved or lost sight of what is known, and can lend landmarks or, without any, a view."""
         if not self.graph.keyframes:
             return True
-        depth, _ = sighting.mean_depth()
-        if (depth > 0).sum() < MIN_INLIERS:
-            return False
-        step = inverse(self.graph.sightings[self.graph.keyframes[-1]].pose) @ sighting.pose
-        shift = np.linalg.norm(step[:3, 3]) / np.median(depth[depth > 0])
         config = self.config
-        return (
-            matches < config.keyframe_matches or angle(step) > config.keyframe_turn_rad or shift > config.keyframe_shift
-        )
+        depth, _ = sighting.mean_depth()
+        depth = depth[depth > 0]
+        if len(depth) >= MIN_INLIERS:
+            lost_sight = matches < config.keyframe_matches
+        elif view is None or not view.valid.any():
+            return False
+        else:
+            depth, lost_sight = view.points[view.valid][:, 2], False
+        step = inverse(self.graph.sightings[self.graph.keyframes[-1]].pose) @ sighting.pose
+        shift = np.linalg.norm(step[:3, 3]) / np.median(depth)
+        return lost_sight or angle(step) > config.keyframe_turn_rad or shift > config.keyframe_shift
 
     def _note(self, frame: Frame, status: Status, found: _Found | None) -> None:
         covariance = None
@@ -277,16 +297,3 @@ class AlignTracker:
             covariance = (covariance_of(found.information) if self.graph.sightings else np.zeros((6, 6))).tolist()
         facts = {"status": status, "matches": 0 if found is None else len(found.rows), "covariance": covariance}
         self.frames.append(TrackedFrame(index=frame.index, timestamp=frame.timestamp, **facts))
-
-    def _near(self, pose: np.ndarray, points: np.ndarray, uv: np.ndarray) -> np.ndarray:
-        """(C, 2) pairs of features and points whose projection is near."""
-        local = transform(inverse(pose)[None], points)
-        ahead = np.flatnonzero(local[:, 2] > 0.05)
-        features, projected = cKDTree(uv), cKDTree(self._project(local[ahead]))
-        pairs = features.sparse_distance_matrix(projected, SEARCH_PX, output_type="coo_matrix")
-        return np.column_stack([pairs.row, ahead[pairs.col]])
-
-    def _project(self, local: np.ndarray) -> np.ndarray:
-        """(N, 3) points in camera axes -> (N, 2) pixels; meaningless behind the camera."""
-        focal, centre = np.array([self.camera.fx, self.camera.fy]), np.array([self.camera.cx, self.camera.cy])
-        return focal * local[:, :2] / np.maximum(local[:, 2:], 1e-6) + centre

@@ -10,6 +10,7 @@ import torch
 from ..camera import Camera
 from .bundle_adjustment import Observations, adjust, covariances, without_outliers
 from .landmarks import NONE, Landmarks, Sighting, observations_of, seen_at_least
+from .local_features import back_projected
 from .loops import Place, corrected_poses, recognise
 from .motion import angle, exceeds, inverse, transform
 from .pose_edges import PoseEdges
@@ -25,6 +26,7 @@ _MIN_FEATURES = 20  # a frame with fewer follows its keyframe
 _NEW_DEPTH_SIGMA = 0.15  # of the depth: a reading less certain makes no landmark
 _KNOWN_SHARE = 20  # landmarks in common that make two keyframes neighbours: nothing to recognise
 _LEFT_M, _LEFT_RAD = 0.1, 0.1  # what may be left of a loop's error when all keyframes shared it
+_TRACKED_M, _TRACKED_RAD = 0.02, 0.02  # of a motion between keyframes whose surfaces do not say it
 _JUMP_M, _JUMP_RAD = 0.02, 0.02  # a loop that is off by more bends the graph before bundle adjustment
 
 
@@ -53,6 +55,9 @@ class KeyframeGraph:
         if view is None or len(self.keyframes) < 2:
             return
         self._align_surfaces(newest, self.keyframes[-1 - NEIGHBOURS : -1])
+        if len(self.landmarks) == 0:
+            self._close_by_surface()
+            return
         self._adjust_locally()
         self._close_loop()
 
@@ -66,6 +71,13 @@ class KeyframeGraph:
         chosen = {*positions[:count][shared[:count] > 0].tolist(), self.keyframes[-1], *self._near(pose, 4)}
         return np.unique(np.concatenate([self.numbers(p) for p in sorted(chosen)]))
 
+    def spread_keyframes(self, count: int) -> list[int]:
+        """The last keyframes, newest first, then as many spread over those before them; `count` in all."""
+        newest = self.keyframes[: -1 - count // 2 : -1]
+        older = self.keyframes[: -len(newest)]
+        spread = np.unique(np.linspace(0, len(older) - 1, count - len(newest)).round().astype(int)) if older else []
+        return [*newest, *(older[i] for i in spread)]
+
     def recognise(self, view: Sighting, descriptors: np.ndarray, but: set[int] = frozenset()) -> Place | None:
         """The keyframe, not in `but`, that sees what `view` sees."""
         candidates = {p: self.numbers(p) for p in self.keyframes if p not in but}
@@ -73,7 +85,7 @@ class KeyframeGraph:
 
     def adjust_globally(self, iterations: int = 30) -> None:
         """Bundle adjustment of the whole recording: some cameras with all points, then the frames between them."""
-        strong = self._strong()
+        strong = self._strong() if len(self.landmarks) else list(self.keyframes)
         cameras = self._cameras(strong)
         if len(cameras) < 2:
             return
@@ -127,7 +139,7 @@ class KeyframeGraph:
     def _lend(self, sighting: Sighting, descriptors: np.ndarray) -> None:
         depth, sigma = sighting.mean_depth()
         new = np.flatnonzero((sighting.landmark == NONE) & (depth > 0) & (sigma < _NEW_DEPTH_SIGMA * depth))
-        points = transform(sighting.pose[None], self._rays(sighting.uv[new]) * depth[new, None])
+        points = transform(sighting.pose[None], back_projected(self.camera, sighting.uv[new]) * depth[new, None])
         sighting.landmark[new] = self.landmarks.add(points, descriptors[new])
 
     def _align_surfaces(self, newest: int, others: list[int]) -> None:
@@ -184,6 +196,21 @@ class KeyframeGraph:
         if jumps:  # what is only joined is straightened by the local adjustments, and by the global one at the end
             self.adjust_globally(10)
 
+    def _close_by_surface(self) -> None:
+        """Without features: align the newest keyframe with older ones that are near by what is known so far."""
+        (previous, newest), measured = self.keyframes[-2:], len(self.edges)
+        if not any(newest == later for _, later, *_ in self.edges):  # what was tracked holds the two together
+            motion = inverse(self.sightings[previous].pose) @ self.sightings[newest].pose
+            self.edges.append((previous, newest, motion, np.diag([_TRACKED_M**-2] * 3 + [_TRACKED_RAD**-2] * 3)))
+            measured += 1
+        near = self._near(self.sightings[newest].pose, 2 * NEIGHBOURS)
+        self._align_surfaces(newest, [k for k in near if k not in self.keyframes[-1 - NEIGHBOURS :]])
+        self.loops += [(first, newest) for first, *_ in self.edges[measured:]]
+        known = inverse(self.sightings[newest].pose)
+        off = [known @ self.sightings[first].pose @ motion for first, _, motion, _ in self.edges[measured:]]
+        if any(exceeds(each, _JUMP_M, _JUMP_RAD) for each in off):
+            self.adjust_globally(10)
+
     def _bend(self, place: Place) -> bool:
         """Spread the error of a loop over the keyframes; landmarks and frames move with theirs.
 
@@ -220,10 +247,11 @@ class KeyframeGraph:
         poses, points, observations, numbers = self._seen_by(positions, 3 * _OUTLIER)
         if free_points:
             observations = observations[seen_at_least(observations, 2)]
-        if len(observations) == 0:
+        edges = self._edges_among(positions)
+        if len(observations) == 0 and (len(self.landmarks) or edges is None):
             return
         first = max(2, iterations // 2)
-        settings = {"free_points": free_points, "edges": self._edges_among(positions)}
+        settings = {"free_points": free_points, "edges": edges}
         result = adjust(self.camera, poses, points, observations, free, iterations=first, **settings)
         kept = without_outliers(self.camera, result.poses, result.points, observations, _OUTLIER)
         result = adjust(self.camera, result.poses, result.points, kept, free, iterations=iterations - first, **settings)
@@ -270,8 +298,3 @@ class KeyframeGraph:
         apart = np.linalg.norm(between[:, :3, 3], axis=1) + angle(between)
         order = np.argsort(apart)[:count]
         return [self.keyframes[i] for i in order if apart[i] < 0.8]
-
-    def _rays(self, uv: np.ndarray) -> np.ndarray:
-        camera = self.camera
-        x, y = (uv[:, 0] - camera.cx) / camera.fx, (uv[:, 1] - camera.cy) / camera.fy
-        return np.stack([x, y, np.ones_like(x)], -1)

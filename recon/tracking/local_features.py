@@ -7,6 +7,10 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
+from scipy.spatial import cKDTree
+
+from ..camera import Camera
+from .motion import inverse, transform
 
 MAX_FEATURES = 1000
 _PIXELS = 160_000
@@ -85,3 +89,26 @@ def match_near(similarity: np.ndarray, candidates: np.ndarray, threshold: float 
     first_of_row[np.unique(best[:, 0], return_index=True)[1]] = True
     first_of_column[np.unique(best[:, 1], return_index=True)[1]] = True
     return best[first_of_row & first_of_column]
+
+
+def near_projections(
+    camera: Camera, T_world_camera: np.ndarray, points: np.ndarray, uv: np.ndarray, radius_px: float
+) -> np.ndarray:
+    """(C, 2) pairs of features at uv (N, 2) and points (P, 3) ahead of the camera whose projection is near."""
+    local = transform(inverse(T_world_camera)[None], points)
+    ahead = np.flatnonzero(local[:, 2] > 0.05)
+    features, projected = cKDTree(uv), cKDTree(project(camera, local[ahead]))
+    pairs = features.sparse_distance_matrix(projected, radius_px, output_type="coo_matrix")
+    return np.column_stack([pairs.row, ahead[pairs.col]])
+
+
+def project(camera: Camera, local: np.ndarray) -> np.ndarray:
+    """(N, 3) points in camera axes -> (N, 2) pixels; meaningless behind the camera."""
+    focal, centre = np.array([camera.fx, camera.fy]), np.array([camera.cx, camera.cy])
+    return focal * local[:, :2] / np.maximum(local[:, 2:], 1e-6) + centre
+
+
+def back_projected(camera: Camera, uv: np.ndarray) -> np.ndarray:
+    """(N, 2) pixels -> (N, 3) points in camera axes at a depth of 1."""
+    x, y = (uv[:, 0] - camera.cx) / camera.fx, (uv[:, 1] - camera.cy) / camera.fy
+    return np.stack([x, y, np.ones_like(x)], -1)

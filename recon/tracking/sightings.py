@@ -133,11 +133,16 @@ def readings_of(
     return Readings(joined, directions, torch.cat(betas), torch.cat(shades) if shades else None)
 
 
+def rule_of_thumb(depth: Tensor) -> Tensor:
+    """depth (N,) metres -> beta (N,) metres of a sensor that is not known."""
+    return UNTAUGHT[0] + UNTAUGHT[1] * depth**2
+
+
 @torch.no_grad()
 def _beta(depth: Tensor, inputs: Tensor | None, model: NoiseModel | None) -> Tensor:
     """depth (N,) metres and inputs (N, F) -> beta (N,) metres."""
     if model is None or inputs is None or not model.taught:
-        return UNTAUGHT[0] + UNTAUGHT[1] * depth**2
+        return rule_of_thumb(depth)
     device = next(model.parameters()).device
     return model(inputs.to(device)).cpu()
 

@@ -96,6 +96,13 @@ def agreement(volume: FusionVolume, readings: Readings, pose: np.ndarray) -> tup
     return len(r) / len(readings), float((r.abs() < 3).float().mean()) if len(r) else 0.0
 
 
+def distances(volume: FusionVolume, readings: Readings, pose: np.ndarray) -> tuple[Tensor, Tensor]:
+    """How far readings lie from the surface, (K,) metres, where the map is known, and which (K,) they are."""
+    T = torch.tensor(pose, dtype=torch.float32, device=readings.points.device)
+    corners, weights, _, kept = _known_cells(volume, readings.points @ T[:3, :3].T + T[:3, 3])
+    return (corners.sdf * weights).sum(-1).abs(), kept
+
+
 def _known_cells(volume: FusionVolume, world: Tensor) -> tuple[Samples, Tensor, Tensor, Tensor]:
     """For the points (N, 3) in cells that are known: their corners and weights (K, 8), slopes (K, 8, 3) of the weights,
     and which (K,) they are."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -33,6 +33,10 @@ class SurfaceView:
     def thinned(self, step: int) -> SurfaceView:
         """Every `step`-th pixel: to be the source; the camera no longer fits."""
         return SurfaceView(self.camera, *(image[::step, ::step] for image in (self.points, self.normals, self.sigma)))
+
+    def blurred(self, metres: float) -> SurfaceView:
+        """The same with a depth less certain by that much, which draws from further away."""
+        return replace(self, sigma=np.hypot(self.sigma, metres))
 
     @property
     def valid(self) -> np.ndarray:
@@ -68,17 +72,21 @@ def view_residuals(
 
 
 def view_term(
-    target: SurfaceView, T_world_target: np.ndarray, source: SurfaceView, max_apart: float = MAX_APART
+    target: SurfaceView,
+    T_world_target: np.ndarray,
+    source: SurfaceView,
+    max_apart: float = MAX_APART,
+    share: float = 1.0,
 ) -> Term:
-    """The term of T_world_source in the sum that `minimise` takes."""
+    """The term of T_world_source in the sum that `minimise` takes; a residual counts a `share` of its information."""
     T_target_world, count = inverse(T_world_target), int(source.valid.sum())
     farthest = ROBUST_SCALE**2 * np.log1p((max_apart / ROBUST_SCALE) ** 2)
 
     def linearise(pose: np.ndarray) -> Linearised:
         r, jacobian = view_residuals(target, source, T_target_world @ pose, max_apart)
         ratio = (r / ROBUST_SCALE) ** 2
-        cost = ROBUST_SCALE**2 * float(np.log1p(ratio).sum()) + farthest * (count - len(r))
-        weighted = jacobian / (1 + ratio)[:, None]
+        cost = share * (ROBUST_SCALE**2 * float(np.log1p(ratio).sum()) + farthest * (count - len(r)))
+        weighted = share * jacobian / (1 + ratio)[:, None]
         return Linearised(cost, weighted.T @ jacobian, weighted.T @ r)
 
     return linearise
