@@ -243,6 +243,7 @@ class AlignTracker:
         graph, last = self.graph, self._last.pose
         newest, *others = [(graph.views[k], graph.sightings[k].pose) for k in graph.spread_keyframes(_PLACES)]
         lost = sum(1 for _ in itertools.takewhile(lambda f: f.status == "lost", reversed(self.frames)))
+        lost = max(lost, int(len(graph.sightings) == 1))
         near = followed(self.volume, readings, view, newest, last, last @ self._velocity, lost)
         found = next(filter(None, map(self._confirmed, near)), None)
         if found is not None and not self._lost:

@@ -26,6 +26,7 @@ _EXPECTED_M, _EXPECTED_RAD = 0.02, 0.02  # least uncertainty of a predicted moti
 _STRAY_M, _STRAY_RAD = 0.05, 0.05  # by which a lost camera moves, each frame
 _ANYWHERE_M, _ANYWHERE_RAD = 0.5, 0.5
 _HELD = 0.2  # of the surface's information proves that it shows a motion
+_TILT_RAD = 0.07
 _PASSES = ((0.1, 4), (0.03, 4), (0.0, 2))  # metres that two views may differ by on top of their noise; step of pixels
 _PASS_ITERATIONS = 6
 
@@ -48,7 +49,7 @@ Keyframe = tuple[SurfaceView, np.ndarray]  # what it sees, and T_world_camera (4
 
 def expectation(last: np.ndarray, expected: np.ndarray, lost: int = 0) -> Term:
     """What is believed beforehand of a camera that moved from `last` (4, 4): as far again it may be wrong. It was
-    `lost` for that many frames since."""
+    `lost` for that many frames since; a motion that was never seen counts as one."""
     step = motion_between(last, expected)
     sigma_m = max(_EXPECTED_M, float(np.linalg.norm(step[:3])), min(lost * _STRAY_M, _ANYWHERE_M))
     sigma_rad = max(_EXPECTED_RAD, float(np.linalg.norm(step[3:])), min(lost * _STRAY_RAD, _ANYWHERE_RAD))
@@ -56,11 +57,18 @@ def expectation(last: np.ndarray, expected: np.ndarray, lost: int = 0) -> Term:
 
 
 def on_surface(
-    volume: FusionVolume, readings: Readings, start: np.ndarray, prior: Term, sure: bool = False
+    volume: FusionVolume,
+    readings: Readings,
+    start: np.ndarray,
+    prior: Term,
+    *,
+    tilt_rad: float = 0.0,
+    sure: bool = False,
 ) -> Held | None:
     """The pose near `start` that brings the readings onto the map; None if the map does not confirm it.
 
-    `sure`: it must do without the `prior`, and agree better.
+    By as much as normals are off, `tilt_rad`, a plane seems to show a motion along it. `sure`: the surface must do
+    without the `prior`, and agree better.
     """
     pose, _ = minimise(start, [surface_term(volume, readings, scale=_COARSE_SCALE), prior])
     readings = scaled(volume, readings, pose)
@@ -71,11 +79,13 @@ def on_surface(
     if known < least[0] or agreeing < least[1]:
         return None
     seen = surface(pose).information
-    if sure and is_weak(seen):
+    noise = _noise(seen, tilt_rad)
+    certain = _less(seen, noise) if tilt_rad else seen
+    if sure and is_weak(certain):
         return None
     # Motion must die out where nothing shows it; noise makes even a plain wall seem to hold the camera a little.
-    shown = np.linalg.solve(information - (1 - _HELD) * seen, _HELD * seen)
-    return Held(pose, information, shown, readings.scale, _fit(volume, readings, pose))
+    shown = np.linalg.solve(information - (1 - _HELD) * seen + noise, _HELD * seen)
+    return Held(pose, information - (seen - certain), shown, readings.scale, _fit(volume, readings, pose))
 
 
 def followed(
@@ -92,7 +102,9 @@ def followed(
     starts = (expected,) if np.array_equal(expected, last) else (expected, last)
     for start in starts:
         prior = expectation(last, start, lost)
-        held = on_surface(volume, readings, near_view(keyframe, view, start, prior), prior)
+        near = near_view(keyframe, view, start, prior)
+        around = prior_term(near, prior(start).information)  # what the views showed is not to be taken back
+        held = on_surface(volume, readings, near, around, tilt_rad=_TILT_RAD)
         if held is not None:
             yield held
 
@@ -103,7 +115,9 @@ def found_again(
     """Poses of a lost camera with this `view`, as if it stood where one of the `keyframes` was."""
     for keyframe in keyframes:
         near = near_view(keyframe, view, keyframe[1], _belief(keyframe[1], _ANYWHERE_M, _ANYWHERE_RAD))
-        held = on_surface(volume, readings, near, _belief(near, _ANYWHERE_M, _ANYWHERE_RAD), sure=True)
+        held = on_surface(
+            volume, readings, near, _belief(near, _ANYWHERE_M, _ANYWHERE_RAD), tilt_rad=_TILT_RAD, sure=True
+        )
         if held is not None:
             yield held
 
@@ -122,6 +136,18 @@ def near_view(keyframe: Keyframe, view: SurfaceView, start: np.ndarray, prior: T
 
 def _belief(pose: np.ndarray, sigma_m: float, sigma_rad: float) -> Term:
     return prior_term(pose, np.diag([sigma_m**-2] * 3 + [sigma_rad**-2] * 3))
+
+
+def _noise(seen: np.ndarray, tilt_rad: float) -> np.ndarray:
+    """What of the information `seen` (6, 6) of shifts and of turns noise may feign in any direction."""
+    most = [np.linalg.eigvalsh(seen[block, block])[-1] for block in (slice(0, 3), slice(3, 6))]
+    return np.diag(np.repeat(most, 3)) * tilt_rad**2
+
+
+def _less(information: np.ndarray, noise: np.ndarray) -> np.ndarray:
+    """(6, 6) without `noise`, nowhere negative."""
+    values, vectors = np.linalg.eigh(information - noise)
+    return (vectors * np.maximum(values, 0)) @ vectors.T
 
 
 def _fit(volume: FusionVolume, readings: Readings, pose: np.ndarray) -> float:
