@@ -82,6 +82,19 @@ class FieldConfig(_Strict):
     prior_weight: float = Field(1.0, ge=0, description="Weight of the pull back to the fused distances.")
 
 
+class ColorConfig(_Strict):
+    """Colour as one more witness of where the surface is: depth by matching views."""
+
+    enabled: bool = Field(
+        True, description="Correct the surface by what colours of several views agree on; needs the uncertainty."
+    )
+    max_views: int = Field(150, ge=3, description="Views whose depth is looked for, at most.")
+    shift: float = Field(
+        0.03, gt=0, description="A view is chosen when the camera moved by this share of the depth it sees,"
+    )
+    turn_rad: float = Field(0.07, gt=0, description="or turned by this angle, radians.")
+
+
 class TrackingConfig(_Strict):
     """Finding the camera of every frame."""
 
@@ -134,11 +147,17 @@ class MapConfig(_Strict):
     uncertainty: UncertaintyConfig = UncertaintyConfig()
     keyframes: KeyframeConfig = KeyframeConfig()
     field: FieldConfig = FieldConfig()
+    color: ColorConfig = ColorConfig()
 
 
 PRESETS: dict[str, dict[str, Any]] = {
     "uncle": {},
-    "tsdf": {"fusion": {"sweeps": 0}, "uncertainty": {"enabled": False}, "field": {"iterations": 0}},
+    "tsdf": {
+        "fusion": {"sweeps": 0},
+        "uncertainty": {"enabled": False},
+        "color": {"enabled": False},
+        "field": {"iterations": 0},
+    },
 }
 
 

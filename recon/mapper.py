@@ -9,14 +9,15 @@ import torch
 from torch import Tensor
 
 from .camera import Camera
+from .color_witness import ColorWitness
 from .config import MapConfig
 from .frame import Frame
 from .fusion import FreeSpace, FusionVolume
 from .fusion_log import FusionLog
 from .grid import SparseGrid
 from .keyframes import KeyframeSelector, RayStore
+from .map_surface import MapSurface
 from .noise_features import noise_features
-from .raycast import cast_rays
 from .sensor_health import SensorHealth
 from .uncertainty import NoiseModel
 
@@ -43,6 +44,7 @@ class Mapper:
         self.rays = RayStore(config.keyframes.max_rays)
         self.log = FusionLog()  # used while poses can still change
         self.said = dict.fromkeys(sensors, 0.0)  # weight of all readings of each sensor in the map
+        self.witness = ColorWitness(camera, config.color, config.uncertainty, config.seed)
         self.health = SensorHealth(camera, sensors, config.health, poses_given=not config.tracking.enabled)
 
     # --- one frame ---------------------------------------------------------------------------------------------
@@ -150,10 +152,7 @@ class Mapper:
         if not self.volume.grid.rows or not self.config.health.enabled:
             return frame
         rays = self.health.rays.to(self.device) @ T_world_camera[:3, :3].T
-        predicted = cast_rays(
-            self.volume.grid, self.volume.sdf(), self.known(), T_world_camera[:3, 3].repeat(len(rays), 1), rays,
-            self.volume.ray_far_m, self.volume.ray_step_m,
-        )  # fmt: skip
+        predicted = self.surface().cast(T_world_camera[:3, 3].repeat(len(rays), 1), rays)
         return self.health.compare(frame, predicted.cpu(), self.volume.max_depth_m)
 
     # --- the whole map -----------------------------------------------------------------------------------------
@@ -161,17 +160,27 @@ class Mapper:
         """Fit the noise models to the residuals of all keyframe rays against the whole map; returns the mean nats."""
         return self._learn(self.rays.columns, self.config.uncertainty.steps_per_sweep, fused=True)
 
+    def surface(self) -> MapSurface:
+        """What the map shows now."""
+        volume = self.volume
+        return MapSurface(volume.grid, volume.sdf(), self.known(), volume.ray_far_m, volume.ray_step_m)
+
+    def add_colors(self) -> None:
+        """Fuse what colour says about the surface; each view stands for the frames between it and the next."""
+        for depth, beta, T_world_camera in self.witness.readings():
+            depth, beta, T_world_camera = (t.to(self.device) for t in (depth, beta, T_world_camera))
+            weight = self.witness.frames_per_view * self.weight(beta)
+            free_space = FreeSpace.of(weight, _typical(weight, depth > 0), DOUBT_BETAS * beta)
+            self.volume.allocate(depth, T_world_camera)
+            self.volume.integrate(depth, weight, None, T_world_camera, free_space)
+
     def known(self) -> Tensor:
         """(R,) samples that enough readings saw."""
         return self.volume.counts() >= self.config.fusion.min_readings
 
     def _learn(self, rays: dict[str, Tensor], steps: int, fused: bool) -> dict[str, float]:
         """`fused`: the map holds these rays already, which must be taken out of their own residuals."""
-        sdf = self.volume.sdf()
-        hit = cast_rays(
-            self.volume.grid, sdf, self.known(), rays["origins"], rays["directions"],
-            self.volume.ray_far_m, self.volume.ray_step_m,
-        )  # fmt: skip
+        hit = self.surface().cast(rays["origins"], rays["directions"])
         losses = {}
         for column, (sensor, model) in enumerate(self.noise.items()):
             depth, features = rays["depths"][:, column], rays["features"][:, column]
@@ -229,6 +238,7 @@ class Mapper:
             "keyframes": self.selector.T_camera_world,
             "rays": self.rays.columns,
             "log": self.log.state_dict(),
+            "witness": self.witness.state_dict(),
             "said": self.said,
             "health": self.health.state_dict(),
             "generator": self.generator.get_state(),
@@ -244,6 +254,7 @@ class Mapper:
         self.selector.T_camera_world = list(state["keyframes"])
         self.rays.columns = {name: values.to(self.device) for name, values in state["rays"].items()}
         self.log.load_state_dict(state["log"])
+        self.witness.load_state_dict(state["witness"])
         self.said = dict(state["said"])
         self.health.load_state_dict(state["health"])
         self.generator.set_state(state["generator"].cpu())

@@ -98,10 +98,14 @@ def reconstruct(
         if config.tracking.enabled:
             require_found(progress.poses, len(indices))
         with _timed(progress, "learning"):
-            _end_sweep(mapper, progress, last=sweep == sweeps)
+            _end_sweep(mapper, progress)
         if sweep == 0:
             with _timed(progress, "tracking"):
                 _settle(mapper, tracker, progress)
+            with _timed(progress, "colours"):
+                _hear_colors(frames, mapper, progress, on_event)
+        if sweep < sweeps:
+            mapper.forget_readings()
         progress.sweep, progress.position = sweep + 1, 0
         _save(checkpoint, mapper, tracker, progress)
     with _timed(progress, "refining"):
@@ -212,16 +216,26 @@ def _sweep_views(
     on_event(Progress(stage, len(indices), len(indices)))
 
 
-def _end_sweep(mapper: Mapper, progress: Progression, last: bool) -> None:
-    """Learn from the whole map; unless it is the final one, empty it for the next sweep."""
+def _end_sweep(mapper: Mapper, progress: Progression) -> None:
+    """Complete the map by what colour says, and learn from the whole of it."""
     if not mapper.volume.grid.rows:
         raise DataError("no frame could be mapped: no depth reading within range has a camera pose")
+    mapper.add_colors()
     if mapper.config.uncertainty.enabled:
         for sensor, loss in mapper.learn().items():
             if math.isfinite(loss):
                 progress.losses.setdefault(f"noise {sensor}", []).append(loss)
-    if not last:
-        mapper.forget_readings()
+
+
+def _hear_colors(frames: RunFrames, mapper: Mapper, progress: Progression, on_event: OnEvent) -> None:
+    """Ask colour, around the surface of the exploration, where it is; heard in the sweeps that follow."""
+    config = mapper.config
+    if not (config.color.enabled and config.uncertainty.enabled and config.fusion.sweeps):
+        return
+    poses = {index: np.array(pose) for index, pose in progress.poses.items()}
+    loss = mapper.witness.look(frames, poses, mapper.surface(), on_event)
+    if loss is not None:
+        progress.losses.setdefault("noise of colour", []).append(loss)
 
 
 def _refined_field(mapper: Mapper, config: MapConfig, on_event: OnEvent) -> tuple[NeuralField, list[float]]:

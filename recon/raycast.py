@@ -70,26 +70,35 @@ def _first_crossing(values: Tensor) -> tuple[Tensor, Tensor]:
 
 @njit(nogil=True, cache=True)
 def _march(origins, directions, sdf, known, volume, origin, voxel, step, steps):
-    """Coarse steps by the nearest sample until the sign changes; then interpolated ones around that place."""
+    """Coarse steps by the nearest sample until the sign changes; then interpolated ones around that place.
+
+    Positions are counted in voxels.
+    """
     depth = np.zeros(len(directions), np.float32)
+    start, direction = np.empty(3), np.empty(3)
     for ray in range(len(directions)):
+        for axis in range(3):
+            start[axis], direction[axis] = origins[ray, axis] / voxel, directions[ray, axis] / voxel
         before = np.nan
         for count in range(1, steps + 1):
-            value = _nearest(origins[ray], directions[ray], count * step, sdf, known, volume, origin, voxel)
+            z = count * step
+            x, y = np.rint(start[0] + direction[0] * z), np.rint(start[1] + direction[1] * z)
+            w = np.rint(start[2] + direction[2] * z)
+            row = row_of(np.int64(x), np.int64(y), np.int64(w), volume, origin)
+            value = sdf[row] if row >= 0 and known[row] else np.nan
             if before > 0 and value <= 0:
-                start = (count - 1) * step - 0.5 * step
-                depth[ray] = _refined(origins[ray], directions[ray], start, 2.0 * step / (_FINE - 1), sdf, known,
-                                      volume, origin, voxel)  # fmt: skip
+                depth[ray] = _refined(start, direction, z - 1.5 * step, 2.0 * step / (_FINE - 1), sdf, known, volume,
+                                      origin)  # fmt: skip
                 break
             before = value
     return depth
 
 
 @njit(nogil=True, cache=True)
-def _refined(start, direction, first, spacing, sdf, known, volume, origin, voxel):
+def _refined(start, direction, first, spacing, sdf, known, volume, origin):
     before, z = np.nan, first
     for _ in range(_FINE):
-        value = _interpolated(start, direction, z, sdf, known, volume, origin, voxel)
+        value = _interpolated(start, direction, z, sdf, known, volume, origin)
         if before > 0 and value <= 0:
             return z - spacing * value / (value - before)
         before = value
@@ -98,19 +107,9 @@ def _refined(start, direction, first, spacing, sdf, known, volume, origin, voxel
 
 
 @njit(nogil=True, cache=True)
-def _nearest(start, direction, z, sdf, known, volume, origin, voxel):
-    """Distance at the sample nearest to the point; NaN where it is not known."""
-    x = np.int64(np.rint((start[0] + direction[0] * z) / voxel))
-    y = np.int64(np.rint((start[1] + direction[1] * z) / voxel))
-    row = row_of(x, y, np.int64(np.rint((start[2] + direction[2] * z) / voxel)), volume, origin)
-    return sdf[row] if row >= 0 and known[row] else np.nan
-
-
-@njit(nogil=True, cache=True)
-def _interpolated(start, direction, z, sdf, known, volume, origin, voxel):
+def _interpolated(start, direction, z, sdf, known, volume, origin):
     """Trilinear distance at the point; NaN where one of the samples around is not known."""
-    x, y = (start[0] + direction[0] * z) / voxel, (start[1] + direction[1] * z) / voxel
-    w = (start[2] + direction[2] * z) / voxel
+    x, y, w = start[0] + direction[0] * z, start[1] + direction[1] * z, start[2] + direction[2] * z
     i, j, k = np.int64(np.floor(x)), np.int64(np.floor(y)), np.int64(np.floor(w))
     x, y, w = x - i, y - j, w - k
     total = 0.0

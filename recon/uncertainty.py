@@ -21,12 +21,15 @@ PIXELS = 8192  # evaluated at a time: what the layers pass on then stays in the 
 class NoiseModel(nn.Module):
     """h_w of one sensor: (N, F) features -> (N,) beta in metres, at least `beta_min_m` (paper: beta_min + softplus)."""
 
-    def __init__(self, config: UncertaintyConfig, generator: torch.Generator) -> None:
+    def __init__(
+        self, config: UncertaintyConfig, generator: torch.Generator, features: tuple[str, ...] = FEATURES
+    ) -> None:
         super().__init__()
         self.config = config
-        sizes = [len(FEATURES), config.hidden, config.hidden, 1]
+        sizes = [len(features), config.hidden, config.hidden, 1]
         self.layers = nn.ModuleList(nn.Linear(a, b) for a, b in pairwise(sizes))
-        self.register_buffer("seen", seen_features(config.features), persistent=False)
+        seen = seen_features(config.features) if features is FEATURES else torch.ones(len(features))
+        self.register_buffer("seen", seen, persistent=False)
         with torch.no_grad():
             for layer in self.layers:
                 bound = math.sqrt(6 / sum(layer.weight.shape))  # Xavier, as in METHOD.md section 3

@@ -1,0 +1,163 @@
+"""Depth from colour: what several views of the same place say about where its surface is.
+
+Depth sensors can agree and be wrong together: a stereo matcher smooths the same corner in every frame. Colours of a
+place as seen from several sides only agree where the surface really is. Around the surface that the map has so far,
+the depth of best agreement is found, and h_w of one more sensor, colour, learns how far to believe it: not from the
+map, which this witness is to correct, but from what its own views say about each other.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from .camera import Camera
+from .photo_match import GreyView, agreement_volume, texture
+
+SOURCES = 6
+MIN_SOURCES = 2
+ANGLES = (0.06, 0.45)  # radians between the rays to a point: less measures nothing, more sees it too differently
+MIN_OVERLAP = 0.5  # share of the reference that a source sees
+ONLOOKER_OVERLAP, MAX_ONLOOKERS = 0.3, 12
+SEARCH_PX = 4.0  # on either side, in the source that moved most
+STEP_PX = 0.5
+FEATURES = (
+    "agreement", "sharpness", "margin", "texture", "depth", "resolution", "offset", "gain", "surprise",
+)  # fmt: skip
+_SAME_ANGLE = 0.02  # radians: a source nearer to another than this adds nothing
+_ALIKE = 2  # steps: a second-best depth nearer than this is the same peak
+_SIDE = 0.7  # of the half image: where points are taken that a source should see
+
+
+@dataclass(frozen=True)
+class ColorDepth:
+    """depth (H, W) float32 metres, 0 = none; features (H, W, F) float16 for its noise model; where it was taken."""
+
+    index: int
+    T_world_camera: np.ndarray
+    depth: np.ndarray
+    features: np.ndarray
+    sources: tuple[int, ...]
+
+
+def choose_sources(camera: Camera, T_world_camera: np.ndarray, reference: int, distance_m: float) -> list[int]:
+    """Rows of T_world_camera (N, 4, 4) that see what `reference` sees, from other places, the best ones first."""
+    poses, here = T_world_camera, T_world_camera[reference]
+    shift = np.linalg.norm(poses[:, :3, 3] - here[:3, 3], axis=1)
+    angle = np.arctan2(shift, distance_m)
+    overlap = _overlap(camera, poses, here, distance_m)
+    able = (angle > ANGLES[0]) & (angle < ANGLES[1]) & (overlap > MIN_OVERLAP)
+    chosen: list[int] = []
+    for row in np.argsort(-(overlap + np.minimum(angle, 0.3)), kind="stable"):
+        apart = [np.linalg.norm(poses[row, :3, 3] - poses[other, :3, 3]) > _SAME_ANGLE * distance_m for other in chosen]
+        if able[row] and all(apart):
+            chosen.append(int(row))
+        if len(chosen) == SOURCES:
+            break
+    return chosen
+
+
+def depth_by_color(camera: Camera, reference: GreyView, sources: list[GreyView], prior: np.ndarray) -> ColorDepth:
+    """The depth of best agreement within `SEARCH_PX` of `prior` (H, W) metres, 0 = unknown: nothing is looked for."""
+    valid = prior > 0
+    distance = float(np.median(prior[valid])) if valid.any() else 1.0
+    baseline = max(float(np.linalg.norm(s.T_world_camera[:3, 3] - reference.T_world_camera[:3, 3])) for s in sources)
+    step = STEP_PX / (camera.fx * baseline)
+    half = round(SEARCH_PX / STEP_PX)
+    inverse = (1 / np.where(valid, prior, distance)).astype(np.float32)
+    volume = agreement_volume(camera, reference, sources, inverse, np.arange(-half, half + 1) * step)
+    peak = volume[1:-1].argmax(0) + 1
+    before, best, after = (_layer(volume, peak + shift) for shift in (-1, 0, 1))
+    sharpness = np.maximum(2 * best - before - after, 1e-6)
+    offset = peak - half + np.clip(0.5 * (after - before) / sharpness, -0.5, 0.5)
+    found = inverse + (offset * step).astype(np.float32)
+    valid &= (best > 0) & (found > 0.1)
+    depth = np.where(valid, 1 / np.maximum(found, 0.1), 0).astype(np.float32)
+    layers = np.arange(len(volume))[:, None, None]
+    second = np.where(np.abs(layers - peak) > _ALIKE, volume, -1).max(0)
+    planes = [
+        best, np.log10(sharpness + 1e-3) + 2, best - second, np.log10(texture(reference.grey) + 0.1) - 1, depth / 3,
+        np.log10(depth**2 * step + 1e-4) + 1.5, np.abs(offset) / half, best - volume[half], _surprise(offset) / half,
+    ]  # fmt: skip
+    features = np.stack(planes, -1).astype(np.float16)
+    return ColorDepth(reference.index, reference.T_world_camera, depth, features, tuple(s.index for s in sources))
+
+
+def disagreement(
+    camera: Camera, images: Sequence[ColorDepth], which: int, pixels: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """How far the depth at `pixels` (N,) of an image lies from what others measure at the same place, metres.
+
+    (N,) medians over the other images that look there, and their number. A point behind another surface is far off
+    in the images that see that surface; the median leaves them out as long as they are few.
+    """
+    image = images[which]
+    local = camera.rays().view(-1, 3).numpy()[pixels] * image.depth.ravel()[pixels, None]
+    world = local @ image.T_world_camera[:3, :3].T + image.T_world_camera[:3, 3]
+    misses = []
+    for other in _onlookers(camera, images, which):
+        there = (world - other.T_world_camera[:3, 3]) @ other.T_world_camera[:3, :3]
+        z = np.maximum(there[:, 2], 1e-3)
+        u = np.rint(camera.fx * there[:, 0] / z + camera.cx).astype(np.int64)
+        v = np.rint(camera.fy * there[:, 1] / z + camera.cy).astype(np.int64)
+        seen = (there[:, 2] > 0.1) & (u >= 0) & (v >= 0) & (u < camera.width) & (v < camera.height)
+        measured = np.where(seen, other.depth[v.clip(0, camera.height - 1), u.clip(0, camera.width - 1)], 0)
+        misses.append(np.where(measured > 0, np.abs(there[:, 2] - measured), np.inf))
+    if not misses:
+        return np.full(len(pixels), np.inf), np.zeros(len(pixels), np.int64)
+    ordered = np.sort(np.stack(misses), axis=0)
+    count = np.isfinite(ordered).sum(0)
+    return ordered[np.maximum(count - 1, 0) // 2, np.arange(len(pixels))], count
+
+
+def _onlookers(camera: Camera, images: Sequence[ColorDepth], which: int) -> list[ColorDepth]:
+    """Images that see much of this one, evenly spread.
+
+    Not its sources alone: an image and its source may agree on the same false match.
+    """
+    image = images[which]
+    known = image.depth[image.depth > 0]
+    if not len(known):
+        return []
+    poses = np.stack([other.T_world_camera for other in images])
+    sees = _overlap(camera, poses, image.T_world_camera, float(np.median(known))) > ONLOOKER_OVERLAP
+    sees[which] = False
+    rows = np.flatnonzero(sees)
+    return [images[row] for row in rows[:: 1 + len(rows) // MAX_ONLOOKERS]]
+
+
+def _overlap(camera: Camera, poses: np.ndarray, here: np.ndarray, distance_m: float) -> np.ndarray:
+    """(N,) share of points at `distance_m` before the camera `here` that each of `poses` (N, 4, 4) sees."""
+    spread = np.array([-_SIDE, 0.0, _SIDE])
+    x, y = (axis.ravel() for axis in np.meshgrid(spread * camera.cx / camera.fx, spread * camera.cy / camera.fy))
+    points = np.stack([x, y, np.ones_like(x)], -1) * distance_m @ here[:3, :3].T + here[:3, 3]
+    there = (points[None] - poses[:, None, :3, 3]) @ poses[:, :3, :3]
+    z = np.maximum(there[..., 2], 1e-6)
+    u, v = camera.fx * there[..., 0] / z + camera.cx, camera.fy * there[..., 1] / z + camera.cy
+    seen = (there[..., 2] > 0.1) & (u > 0) & (v > 0) & (u < camera.width) & (v < camera.height)
+    return seen.mean(1)
+
+
+def _layer(volume: np.ndarray, index: np.ndarray) -> np.ndarray:
+    """(n, H, W) at layer `index` (H, W)."""
+    return np.take_along_axis(volume, index[None], 0)[0]
+
+
+def _surprise(offset: np.ndarray) -> np.ndarray:
+    """How far the found offset lies from the median of those around it, steps."""
+    return np.abs(offset - cv2.medianBlur(offset.astype(np.float32), 5))
+
+
+def halved(camera: Camera) -> Camera:
+    """The camera of the image at half its size."""
+    return Camera(
+        camera.width // 2,
+        camera.height // 2,
+        camera.fx / 2,
+        camera.fy / 2,
+        (camera.cx - 0.5) / 2,
+        (camera.cy - 0.5) / 2,
+    )

@@ -1,0 +1,140 @@
+"""Colour as one more sensor of the map: chosen views, their depth, and how far it can be believed."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
+from typing import Any
+
+import cv2
+import numpy as np
+import torch
+from torch import Tensor
+
+from .camera import Camera
+from .color_depth import FEATURES, MIN_SOURCES, ColorDepth, choose_sources, depth_by_color, disagreement, halved
+from .config import ColorConfig, UncertaintyConfig
+from .events import OnEvent, ignore, track_progress
+from .map_surface import MapSurface
+from .photo_match import GreyView
+from .recording import RunFrames
+from .uncertainty import NoiseModel
+
+FULL_SIZE_PIXELS = 200_000  # larger images are halved: finer pixels than the map's samples cost time only
+SAMPLES = 4000  # pixels of a view that teach
+MIN_ONLOOKERS = 3
+_MAX_RESIDUAL_M = 1.0
+
+
+class ColorWitness:
+    """Depth by colour of some views, with the beta of each pixel; metres, (h, w) at the size it works at."""
+
+    def __init__(self, camera: Camera, config: ColorConfig, uncertainty: UncertaintyConfig, seed: int) -> None:
+        self.full, self.config, self.uncertainty, self.seed = camera, config, uncertainty, seed
+        self.camera = halved(camera) if camera.width * camera.height > FULL_SIZE_PIXELS else camera
+        self.frames = 0  # that the views stand for
+        self.poses: list[Tensor] = []
+        self.depths: list[Tensor] = []
+        self.betas: list[Tensor] = []
+
+    def look(
+        self, frames: RunFrames, poses: dict[int, np.ndarray], surface: MapSurface, on_event: OnEvent = ignore
+    ) -> float | None:
+        """Find the depth of views along the trajectory `poses` around `surface`, and learn how noisy it is.
+
+        Returns the mean negative log-likelihood in nats; None if nothing was found.
+        """
+        images = self._match(frames, poses, surface, on_event)
+        self.frames, self.poses, self.depths, self.betas = len(poses), [], [], []
+        generator = torch.Generator().manual_seed(self.seed)
+        noise = NoiseModel(self.uncertainty, generator, FEATURES)
+        loss = self._learn(noise, images, generator)
+        if loss is None:
+            return None
+        for image in images:
+            depth = torch.from_numpy(image.depth)
+            self.poses.append(torch.from_numpy(image.T_world_camera).float())
+            self.depths.append(depth)
+            self.betas.append(noise.beta_image(depth, torch.from_numpy(image.features).float()).half())
+        return loss
+
+    def readings(self) -> Iterator[tuple[Tensor, Tensor, Tensor]]:
+        """For each view: depth (H, W) and beta (H, W) in metres at the size of the recording, and T_world_camera."""
+        size = (self.full.width, self.full.height)
+        for depth, beta, pose in zip(self.depths, self.betas, self.poses, strict=True):
+            images = (cv2.resize(i.float().numpy(), size, interpolation=cv2.INTER_NEAREST) for i in (depth, beta))
+            yield *(torch.from_numpy(image) for image in images), pose
+
+    @property
+    def frames_per_view(self) -> float:
+        return self.frames / max(len(self.depths), 1)
+
+    def state_dict(self) -> dict[str, Any]:
+        """Plain tensors that `load_state_dict` continues from."""
+        return {"frames": self.frames, "poses": self.poses, "depths": self.depths, "betas": self.betas}
+
+    def load_state_dict(self, state: dict[str, Any]) -> None:
+        self.frames, self.poses = state["frames"], state["poses"]
+        self.depths, self.betas = state["depths"], state["betas"]
+
+    # --- views -------------------------------------------------------------------------------------------------
+    def _match(
+        self, frames: RunFrames, poses: dict[int, np.ndarray], surface: MapSurface, on_event: OnEvent
+    ) -> list[ColorDepth]:
+        chosen = self._choose(poses, surface)
+        if len(chosen) <= MIN_SOURCES:
+            return []
+        views = [GreyView(index, self._grey(frames, index), poses[index]) for index in chosen]
+        matrices = np.stack([view.T_world_camera for view in views])
+
+        def work(row: int) -> ColorDepth | None:
+            prior = surface.depth_from(self.camera, matrices[row])
+            if not (prior > 0).any():
+                return None
+            sources = choose_sources(self.camera, matrices, row, float(np.median(prior[prior > 0])))
+            if len(sources) < MIN_SOURCES:
+                return None
+            return depth_by_color(self.camera, views[row], [views[s] for s in sources], prior)
+
+        with ThreadPoolExecutor(os.cpu_count() or 1) as pool:
+            done = track_progress(pool.map(work, range(len(views))), len(views), "comparing colours", on_event, "views")
+            return [image for image in done if image is not None]
+
+    def _choose(self, poses: dict[int, np.ndarray], surface: MapSurface) -> list[int]:
+        """Frames between which the camera moved or turned enough to show something new; no more than allowed."""
+        chosen: list[int] = []
+        distance = 1.0
+        for index in sorted(poses):
+            if chosen:
+                step = np.linalg.inv(poses[chosen[-1]]) @ poses[index]
+                turn = np.arccos(np.clip((np.trace(step[:3, :3]) - 1) / 2, -1, 1))
+                if np.linalg.norm(step[:3, 3]) < self.config.shift * distance and turn < self.config.turn_rad:
+                    continue
+            chosen.append(index)
+            distance = surface.typical_distance(self.camera, poses[index]) or distance
+        every = -(-len(chosen) // self.config.max_views)
+        return chosen[:: max(every, 1)]
+
+    def _grey(self, frames: RunFrames, index: int) -> np.ndarray:
+        grey = cv2.cvtColor(frames.color(index).numpy(), cv2.COLOR_RGB2GRAY)
+        size = (self.camera.width, self.camera.height)
+        small = cv2.resize(grey, size, interpolation=cv2.INTER_AREA) if self.camera is not self.full else grey
+        return small.astype(np.float32)
+
+    # --- noise -------------------------------------------------------------------------------------------------
+    def _learn(self, noise: NoiseModel, images: list[ColorDepth], generator: torch.Generator) -> float | None:
+        rng = np.random.default_rng(self.seed)
+        features, residuals = [], []
+        for row, image in enumerate(images):
+            pixels = np.flatnonzero(image.depth)
+            pixels = rng.choice(pixels, min(SAMPLES, len(pixels)), replace=False)
+            residual, count = disagreement(self.camera, images, row, pixels)
+            kept = count >= MIN_ONLOOKERS
+            features.append(image.features.reshape(-1, len(FEATURES))[pixels[kept]])
+            residuals.append(residual[kept])
+        if sum(map(len, residuals)) < SAMPLES:
+            return None
+        inputs = torch.from_numpy(np.concatenate(features))
+        off = torch.from_numpy(np.concatenate(residuals)).float().clamp(max=_MAX_RESIDUAL_M)
+        return noise.learn(inputs, off, self.uncertainty.steps_per_sweep, generator)
