@@ -20,7 +20,7 @@ from .surface import Surface
 
 MIN_COMPONENT_M2 = 0.02  # a loose piece smaller than this is a floater
 MAX_VIEWS = 150  # cameras asked what they see; more add nothing but time
-VISIBLE_VOXELS = 2.0  # a vertex this far behind the first surface of a pixel is still part of it
+VISIBLE_VOXELS = 1.0  # a vertex this far behind the first surface on its ray is still part of it
 _VERTICES_AT_A_TIME = 1 << 17
 
 
@@ -80,8 +80,17 @@ def seen_vertices(
         first = surface.depth(small, T)
         shown = first[v[inside].astype(int), u[inside].astype(int)]
         slack = tolerance_m + 2 * z[inside] / small.fx  # a slanted surface changes depth within a pixel
-        seen[rows[inside]] |= (z[inside] < shown + slack) & np.isfinite(shown) & (shown > 0)
+        likely = rows[inside][(z[inside] < shown + slack) & np.isfinite(shown) & (shown > 0)]
+        seen[likely] = _in_sight(surface, T[:3, 3], mesh.vertices[likely], tolerance_m)
     return seen
+
+
+def _in_sight(surface: Surface, centre: np.ndarray, points: np.ndarray, tolerance_m: float) -> np.ndarray:
+    """(N,) bool: nothing lies more than `tolerance_m` before the points (N, 3) as seen from `centre` (3,)."""
+    ways = points - centre.astype(points.dtype)
+    lengths = np.linalg.norm(ways, axis=1)
+    hit = surface.cast(centre, ways) * lengths
+    return (hit == 0) | (hit > lengths - tolerance_m)  # no hit: the ray slipped past the border at the point itself
 
 
 def _sampled(field: NeuralField, voxel_size_m: float | None):
