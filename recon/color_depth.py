@@ -29,6 +29,8 @@ FEATURES = (
 )  # fmt: skip
 _SAME_ANGLE = 0.02  # radians: a source nearer to another than this adds nothing
 _ALIKE = 2  # steps: a second-best depth nearer than this is the same peak
+_MIN_INVERSE = 0.1  # 1 / metres: what is farther moves too little
+_MIN_AGREEMENT = 1e-3  # less is rounding: flat images agree on nothing
 _SIDE = 0.7  # of the half image: where points are taken that a source should see
 
 
@@ -74,8 +76,8 @@ def depth_by_color(camera: Camera, reference: GreyView, sources: list[GreyView],
     sharpness = np.maximum(2 * best - before - after, 1e-6)
     offset = peak - half + np.clip(0.5 * (after - before) / sharpness, -0.5, 0.5)
     found = inverse + (offset * step).astype(np.float32)
-    valid &= (best > 0) & (found > 0.1)
-    depth = np.where(valid, 1 / np.maximum(found, 0.1), 0).astype(np.float32)
+    valid &= (best > _MIN_AGREEMENT) & (found > _MIN_INVERSE)
+    depth = np.where(valid, 1 / np.maximum(found, _MIN_INVERSE), 0).astype(np.float32)
     layers = np.arange(len(volume))[:, None, None]
     second = np.where(np.abs(layers - peak) > _ALIKE, volume, -1).max(0)
     planes = [
@@ -149,15 +151,3 @@ def _layer(volume: np.ndarray, index: np.ndarray) -> np.ndarray:
 def _surprise(offset: np.ndarray) -> np.ndarray:
     """How far the found offset lies from the median of those around it, steps."""
     return np.abs(offset - cv2.medianBlur(offset.astype(np.float32), 5))
-
-
-def halved(camera: Camera) -> Camera:
-    """The camera of the image at half its size."""
-    return Camera(
-        camera.width // 2,
-        camera.height // 2,
-        camera.fx / 2,
-        camera.fy / 2,
-        (camera.cx - 0.5) / 2,
-        (camera.cy - 0.5) / 2,
-    )

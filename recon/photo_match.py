@@ -16,7 +16,7 @@ from .camera import Camera
 
 WINDOW = 9  # pixels
 NOISE = 1.0  # grey levels squared: what two images differ by where there is nothing to see
-_NEAREST_INVERSE = 0.03  # 1 / metres
+_MIN_INVERSE = 0.03  # 1 / metres: nothing is looked for farther away
 
 
 @dataclass(frozen=True)
@@ -45,7 +45,7 @@ def agreement_volume(
     scores = np.empty((len(sources), *reference.grey.shape), np.float32)
     volume = np.empty((len(offsets), *reference.grey.shape), np.float32)
     for layer, offset in zip(volume, offsets, strict=True):
-        inverse = np.maximum(inverse_depth + np.float32(offset), np.float32(_NEAREST_INVERSE))
+        inverse = np.maximum(inverse_depth + np.float32(offset), np.float32(_MIN_INVERSE))
         for source, ray, motion, score in zip(sources, rotated, motions, scores, strict=True):
             _warp(source.grey, ray, motion[:, 3].copy(), inverse, pinhole, WINDOW // 2, warped, inside)
             sums = (_box(warped), _box(warped * warped), _box(warped * reference.grey))

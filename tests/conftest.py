@@ -48,6 +48,17 @@ class BoxRoom:
         far = np.where(safe > 0, ROOM_M + grow_m - origin, -grow_m - origin) / safe
         return far.min(axis=-1)
 
+    def picture(self, T_world_camera: np.ndarray, blank_above_m: float = np.inf) -> np.ndarray:
+        """(H, W, 3) uint8 walls painted with a smooth random pattern of waves in space; grey 128 above that height."""
+        points = self.camera.rays().numpy() * self.depth(T_world_camera)[..., None]
+        points = points @ T_world_camera[:3, :3].T + T_world_camera[:3, 3]
+        rng = np.random.default_rng(0)
+        waves = rng.normal(size=(40, 3))
+        waves *= 2 * np.pi / (rng.uniform(0.15, 0.8, (40, 1)) * np.linalg.norm(waves, axis=1, keepdims=True))
+        pattern = np.sin(points @ waves.T + rng.uniform(0, 2 * np.pi, 40)).sum(-1) * 10
+        pattern[points[..., 2] > blank_above_m] = 0
+        return np.clip(np.rint(128 + pattern[..., None] * np.array([1.0, 0.9, 0.8])), 0, 255).astype(np.uint8)
+
     def normals(self, T_world_camera: np.ndarray) -> np.ndarray:
         """(H, W, 3) float32 exact unit normals of the walls in camera axes, towards the camera."""
         points = self.camera.rays().numpy() * self.depth(T_world_camera)[..., None]
