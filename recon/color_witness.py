@@ -16,7 +16,6 @@ from .camera import Camera
 from .color_depth import FEATURES, MIN_SOURCES, ColorDepth, choose_sources, depth_by_color, disagreement
 from .config import ColorConfig, UncertaintyConfig
 from .events import OnEvent, ignore, track_progress
-from .frame import Frame
 from .map_surface import MapSurface
 from .photo_match import GreyView
 from .recording import RunFrames
@@ -25,7 +24,6 @@ from .uncertainty import NoiseModel
 FULL_SIZE_PIXELS = 200_000  # larger images are halved: finer pixels than the map's samples cost time only
 SAMPLES = 4000  # pixels of a view that teach
 MIN_ONLOOKERS = 3
-TESTIMONY = 3000  # pixels of a view that the sensors' models learn from
 _MAX_RESIDUAL_M = 1.0
 
 
@@ -40,8 +38,6 @@ class ColorWitness:
         self.poses: list[Tensor] = []
         self.depths: list[Tensor] = []
         self.betas: list[Tensor] = []
-        self.indices: list[int] = []
-        self.testimony: dict[str, Tensor] = {}
 
     def look(
         self, frames: RunFrames, poses: dict[int, np.ndarray], surface: MapSurface, on_event: OnEvent = ignore
@@ -51,7 +47,7 @@ class ColorWitness:
         Returns the mean negative log-likelihood in nats; None if nothing was found.
         """
         images = self._match(frames, poses, surface, on_event)
-        self.frames, self.poses, self.depths, self.betas, self.indices = len(poses), [], [], [], []
+        self.frames, self.poses, self.depths, self.betas = len(poses), [], [], []
         generator = torch.Generator().manual_seed(self.seed)
         noise = NoiseModel(self.uncertainty, generator, FEATURES)
         loss = self._learn(noise, images, generator)
@@ -59,40 +55,17 @@ class ColorWitness:
             return None
         for image in images:
             depth = torch.from_numpy(image.depth)
-            self.indices.append(image.index)
             self.poses.append(torch.from_numpy(image.T_world_camera).float())
             self.depths.append(depth)
             self.betas.append(noise.beta_image(depth, torch.from_numpy(image.features).float()).half())
         return loss
 
-    def confront(self, frame: Frame, features: dict[str, Tensor], view: int) -> None:
-        """Keep, of some pixels of a frame that is a view, what colour and the sensors say: their models learn from it."""
-        depth, beta, _ = self._at_full_size(view)
-        pixels = depth.view(-1).nonzero()[:, 0]
-        rng = np.random.default_rng((self.seed, view))
-        pixels = pixels[torch.from_numpy(rng.integers(len(pixels), size=TESTIMONY))] if len(pixels) else pixels
-        sensors = torch.stack([image.view(-1)[pixels] for image in frame.depths.values()], 1)
-        inputs = torch.stack([image.view(-1, image.shape[-1])[pixels] for image in features.values()], 1)
-        told = {"color": depth.view(-1)[pixels], "beta": beta.view(-1)[pixels], "sensors": sensors, "inputs": inputs.half()}
-        self.testimony = {n: torch.cat([self.testimony[n], v]) if self.testimony else v for n, v in told.items()}
-
-    def against(self, column: int) -> tuple[Tensor, Tensor, Tensor]:
-        """How far the readings of a sensor lie from what colour says, (N,) metres; the inputs (N, F) of its noise model;
-        and the beta of colour there (N,) metres."""
-        depth = self.testimony["sensors"][:, column]
-        read = depth > 0
-        off = (depth - self.testimony["color"])[read].abs()
-        return off, self.testimony["inputs"][read, column], self.testimony["beta"][read]
-
     def readings(self) -> Iterator[tuple[Tensor, Tensor, Tensor]]:
         """For each view: depth (H, W) and beta (H, W) in metres at the size of the recording, and T_world_camera."""
-        for view in range(len(self.depths)):
-            yield self._at_full_size(view)
-
-    def _at_full_size(self, view: int) -> tuple[Tensor, Tensor, Tensor]:
-        size, images = (self.full.width, self.full.height), (self.depths[view], self.betas[view])
-        depth, beta = (cv2.resize(i.float().numpy(), size, interpolation=cv2.INTER_NEAREST) for i in images)
-        return torch.from_numpy(depth), torch.from_numpy(beta), self.poses[view]
+        size = (self.full.width, self.full.height)
+        for depth, beta, pose in zip(self.depths, self.betas, self.poses, strict=True):
+            images = (cv2.resize(i.float().numpy(), size, interpolation=cv2.INTER_NEAREST) for i in (depth, beta))
+            yield *(torch.from_numpy(image) for image in images), pose
 
     @property
     def frames_per_view(self) -> float:
