@@ -1,0 +1,267 @@
+"""Colour as a sensor of the map: what it corrects, how sure it is, and when it has nothing to say."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+from uncle.recon import pipeline
+from uncle.recon.checkpoint import Checkpoint
+from uncle.recon.color_witness import FULL_SIZE_PIXELS, ColorWitness
+from uncle.recon.config import ColorConfig, UncertaintyConfig, make_config
+from uncle.recon.events import Progress
+from uncle.recon.frame import Frame
+from uncle.recon.mapper import Mapper
+from uncle.recon.recording import RunFrames
+
+STEPS = UncertaintyConfig(steps_per_sweep=150, learning_rate=0.01)
+QUICK = [
+    "fusion.voxel_size_m=0.05", "fusion.min_readings=2", "keyframes.rays=500", "field.iterations=0",
+    "uncertainty.steps_per_keyframe=4", "uncertainty.steps_per_sweep=120", "uncertainty.learning_rate=0.01",
+]  # fmt: skip
+
+
+class RoomFrames(RunFrames):
+    """The painted room in memory; its one sensor reads `scale` times the true depth. `paint` goes to the pictures."""
+
+    def __init__(self, room, poses, scale: float = 1.0, grain: float = 0.0, **paint) -> None:
+        self.room, self.poses, self.scale, self.camera, self.sensors = room, poses, scale, room.camera, ("stereo",)
+        rng = np.random.default_rng(0)
+        pictures = [room.picture(pose, **paint) + rng.normal(0, grain, (*self._size, 1)) for pose in poses]
+        self.colors = [torch.from_numpy(np.rint(p).clip(0, 255).astype(np.uint8)) for p in pictures]
+
+    @property
+    def _size(self) -> tuple[int, int]:
+        return self.camera.height, self.camera.width
+
+    def color(self, index):
+        return self.colors[index]
+
+    def normals(self, index, sensor):
+        return torch.from_numpy(self.room.normals(self.poses[index]))
+
+    def __getitem__(self, index):
+        depth = torch.from_numpy(self.room.depth(self.poses[index]) * self.scale).float()
+        return Frame(index, index, self.colors[index], {"stereo": depth}, self.poses[index])
+
+
+class OffSurface:
+    """A map whose depth is `scale` times that of the room."""
+
+    def __init__(self, room, scale: float) -> None:
+        self.room, self.scale = room, scale
+
+    def depth_from(self, camera, T_world_camera):
+        return (replace(self.room, camera=camera).depth(T_world_camera) * self.scale).astype(np.float32)
+
+    def typical_distance(self, camera, T_world_camera):
+        return float(np.median(self.depth_from(camera, T_world_camera)))
+
+
+@pytest.fixture(scope="module")
+def walk(box_room) -> list[np.ndarray]:
+    """Before two walls and the corner between them."""
+    return [
+        box_room.pose(angle, (1.6 + 0.3 * np.sin(i), 0.9 + 0.3 * i, 1.0 + 0.15 * (i % 3)))
+        for i in range(5)
+        for angle in (0.0, 0.35)
+    ]
+
+
+def witness_of(room, walk, scale=1.04, config=None, **paint) -> tuple[ColorWitness, float | None]:
+    frames = RoomFrames(room, walk, **paint)
+    witness = ColorWitness(room.camera, config or ColorConfig(), STEPS, seed=0)
+    return witness, witness.look(frames, dict(enumerate(walk)), OffSurface(room, scale))
+
+
+def heights(room, pose) -> np.ndarray:
+    """(H, W) of what is seen above the floor, metres."""
+    return (room.camera.rays().numpy() @ pose[:3, :3].T)[..., 2] * room.depth(pose) + pose[2, 3]
+
+
+# --- what it says ------------------------------------------------------------------------------------------------
+def test_readings_are_nearer_to_the_truth_than_the_map(box_room, walk):
+    witness, loss = witness_of(box_room, walk)
+    readings = list(witness.readings())
+    assert len(readings) == len(walk)
+    assert np.isfinite(loss)
+    assert witness.frames_per_view == 1.0
+    for (depth, beta, pose), true_pose in zip(readings, walk, strict=True):
+        assert depth.shape == beta.shape == (box_room.camera.height, box_room.camera.width)
+        np.testing.assert_allclose(pose.numpy(), true_pose, atol=1e-6)
+        true, found = box_room.depth(true_pose), (depth > 0).numpy()
+        assert found.mean() > 0.7
+        assert np.median(np.abs(depth.numpy() / true - 1)[found]) < 0.004  # the map: 0.04
+        assert ((beta > 0).numpy() == found).all()
+
+
+def test_beta_is_large_where_nothing_is_painted(box_room, walk):
+    witness, _ = witness_of(box_room, walk, grain=1.0, blank_above_m=1.25)
+    painted, blank, off_blank = [], [], []
+    for (depth, beta, _), pose in zip(witness.readings(), walk, strict=True):
+        height, found = heights(box_room, pose), depth.numpy() > 0
+        painted.append(beta.numpy()[found & (height < 1.0)])
+        blank.append(beta.numpy()[found & (height > 1.5)])
+        off_blank.append(np.abs(depth.numpy() - box_room.depth(pose))[found & (height > 1.5)])
+    painted, blank, off_blank = (np.median(np.concatenate(values)) for values in (painted, blank, off_blank))
+    assert blank > 5 * painted
+    assert 0.4 < blank / off_blank < 2.5  # and about as large as the error is
+
+
+def test_large_images_are_halved_and_come_back_at_full_size(box_room, walk):
+    camera = box_room.camera.resized(562, 422)  # even when halved, 281 x 211, it needs no more
+    assert camera.width * camera.height > FULL_SIZE_PIXELS
+    large = replace(box_room, camera=camera)
+    witness, _ = witness_of(large, walk[:6])
+    assert (witness.camera.width, witness.camera.height) == (281, 211)
+    depth, beta, pose = next(witness.readings())
+    assert depth.shape == beta.shape == (422, 562)
+    true, found = large.depth(pose.numpy()), (depth > 0).numpy()
+    assert np.median(np.abs(depth.numpy() / true - 1)[found]) < 0.004
+    assert all(stored.shape == (211, 281) for stored in witness.depths + witness.betas)
+
+
+def test_the_view_of_an_odd_size_covers_the_same_field(box_room):
+    camera = box_room.camera.resized(641, 481)
+    small = ColorWitness(camera, ColorConfig(), STEPS, 0).camera
+    edges = [
+        ((-0.5 - c.cx) / c.fx, (c.width - 0.5 - c.cx) / c.fx, (c.height - 0.5 - c.cy) / c.fy) for c in (camera, small)
+    ]
+    np.testing.assert_allclose(*edges)
+
+
+def test_views_are_chosen_where_the_camera_moved_and_no_more_than_allowed(box_room, walk):
+    slow = [pose for pose in walk for _ in range(3)]
+    witness, _ = witness_of(box_room, slow)
+    assert len(witness.depths) == len(walk)
+    assert witness.frames_per_view == 3.0
+    few, _ = witness_of(box_room, walk, config=ColorConfig(max_views=5))
+    assert len(few.depths) == 5
+    assert few.frames_per_view == 2.0
+
+
+def test_same_seed_same_readings_and_state_comes_back(box_room, walk):
+    first, loss = witness_of(box_room, walk[:6])
+    second, again = witness_of(box_room, walk[:6])
+    assert loss == again
+    restored = ColorWitness(box_room.camera, ColorConfig(), STEPS, 1)
+    restored.load_state_dict(first.state_dict())
+    assert restored.frames_per_view == first.frames_per_view
+    for other in (second, restored):
+        for ours, theirs in zip(first.readings(), other.readings(), strict=True):
+            assert all(map(torch.equal, ours, theirs))
+
+
+# --- when it says nothing ----------------------------------------------------------------------------------------
+def silent(room, walk, **paint) -> bool:
+    witness, loss = witness_of(room, walk, **paint)
+    return loss is None and not list(witness.readings())
+
+
+def test_too_few_views(box_room, walk):
+    for count in range(4):
+        assert silent(box_room, walk[:count])
+
+
+def test_a_camera_that_stands_or_only_turns(box_room, walk):
+    assert silent(box_room, [walk[4]] * 12)
+    turns = [box_room.pose(angle) for angle in np.linspace(-0.5, 0.5, 12)]
+    for pose in turns:
+        pose[:3, 3] = walk[4][:3, 3]
+    assert silent(box_room, turns)
+
+
+def test_pictures_without_anything_on_them(box_room, walk, monkeypatch):
+    assert silent(box_room, walk, blank_above_m=-1.0)
+    monkeypatch.setattr(type(box_room), "picture", lambda room, pose: np.zeros((120, 160, 3)))
+    assert silent(box_room, walk)
+
+
+def test_an_empty_map(box_room, walk):
+    class Nothing(OffSurface):
+        def depth_from(self, camera, T_world_camera):
+            return np.zeros((camera.height, camera.width), np.float32)
+
+        def typical_distance(self, camera, T_world_camera):
+            return None
+
+    witness = ColorWitness(box_room.camera, ColorConfig(), STEPS, 0)
+    assert witness.look(RoomFrames(box_room, walk), dict(enumerate(walk)), Nothing(box_room, 1.0)) is None
+
+
+# --- in the map --------------------------------------------------------------------------------------------------
+def reconstructed(room, walk, path, *settings, method="uncle", on_event=lambda event: None, interval_s=1e9):
+    quick = QUICK if method == "uncle" else QUICK[:2]
+    config = make_config(method, [*quick, *settings], sensors=("stereo",), device="cpu")
+    frames, checkpoint = RoomFrames(room, walk, scale=1.04), Checkpoint(path, "", interval_s)
+    return pipeline.reconstruct(frames, list(range(len(walk))), config, checkpoint, lambda *_: None, on_event)
+
+
+def off_by(room, mapper: Mapper, walk) -> float:
+    """Median distance between map and truth along the views, as a share of depth."""
+    surface, misses = mapper.surface(), []
+    for pose in walk:
+        depth, true = surface.depth_from(room.camera, pose), room.depth(pose)
+        misses.append((np.abs(depth / true - 1))[depth > 0])
+    return float(np.median(np.concatenate(misses)))
+
+
+def test_the_map_overcomes_a_bias_that_its_only_sensor_always_has(box_room, walk, tmp_path):
+    with_colors = reconstructed(box_room, walk, tmp_path / "a")
+    without = reconstructed(box_room, walk, tmp_path / "b", "color.enabled=false")
+    assert len(with_colors.curves["noise of colour"]) == 1
+    assert "noise of colour" not in without.curves
+    assert not without.mapper.witness.depths
+    assert off_by(box_room, without.mapper, walk) == pytest.approx(0.04, abs=0.006)
+    assert off_by(box_room, with_colors.mapper, walk) < 0.02
+
+
+OFF = ["uncertainty.enabled=false", "color.enabled=false", "fusion.sweeps=0"]
+
+
+@pytest.mark.parametrize(("method", "settings"), [("tsdf", []), *(("uncle", [setting]) for setting in OFF)])
+def test_colours_are_not_looked_at(box_room, walk, tmp_path, monkeypatch, method, settings):
+    def refuse(*_):
+        raise AssertionError("looked at colours")
+
+    monkeypatch.setattr(ColorWitness, "look", refuse)
+    made = reconstructed(box_room, walk[:4], tmp_path / "c", *settings, method=method)
+    assert not list(made.mapper.witness.readings())
+
+
+def test_a_map_that_was_broken_off_is_the_same_with_colours(box_room, walk, tmp_path):
+    def break_off(event) -> None:
+        if isinstance(event, Progress) and event.stage.startswith("fusing again") and event.done == 4:
+            raise InterruptedError
+
+    unbroken = reconstructed(box_room, walk, tmp_path / "a")
+    with pytest.raises(InterruptedError):
+        reconstructed(box_room, walk, tmp_path / "b", on_event=break_off, interval_s=0)
+    resumed = reconstructed(box_room, walk, tmp_path / "b")
+    assert len(resumed.mapper.witness.depths) == len(walk)
+    for ours, theirs in zip(unbroken.mapper.witness.readings(), resumed.mapper.witness.readings(), strict=True):
+        assert all(map(torch.equal, ours, theirs))
+    assert torch.equal(unbroken.mapper.volume.sums, resumed.mapper.volume.sums)
+    assert torch.equal(unbroken.mapper.volume.grid.blocks, resumed.mapper.volume.grid.blocks)
+    assert unbroken.curves == resumed.curves
+
+
+def test_a_view_weighs_as_much_as_the_frames_it_stands_for(box_room, walk):
+    """Fused alone: each sample holds frames_per_view times the weight of beta, and the surface lies at the readings."""
+    config = make_config("uncle", ["fusion.voxel_size_m=0.05", "fusion.blur_voxels=1"], device="cpu")
+    mapper = Mapper(box_room.camera, ("stereo",), config, torch.device("cpu"))
+    depth = torch.full((120, 160), 2.0)
+    mapper.witness.load_state_dict(
+        {"frames": 7, "poses": [torch.eye(4)], "depths": [depth], "betas": [torch.full_like(depth, 0.0625).half()]}
+    )
+    mapper.add_colors()
+    mapper.add_colors()
+    volume = mapper.volume
+    positions = volume.grid.block_positions(torch.arange(len(volume.grid.blocks))).view(-1, 3)
+    near = ((positions[:, 2] - 2.0).abs() < 0.1) & (volume.counts() == 2)
+    assert near.sum() > 1000
+    expected = 2 * 7 * mapper.weight(torch.tensor(0.0625))
+    torch.testing.assert_close(volume.sums[near, 0], expected.expand(int(near.sum())), rtol=1e-4, atol=0)
+    torch.testing.assert_close(volume.sdf()[near], 2.0 - positions[near, 2], atol=1e-4, rtol=0)
+    assert not volume.color_sums.any()
+    assert mapper.sensor_share() == {"stereo": 0.0}
