@@ -144,7 +144,7 @@ def test_a_minority_behind_another_surface_is_left_out():
 def test_who_does_not_look_has_no_say():
     blind = plane_view(1, 0.0, 0.1)
     away = replace(plane_view(2, 2.0), T_world_camera=np.diag([-1.0, 1.0, -1.0, 1.0]))
-    miss, count = disagreement(CAMERA, [plane_view(0, 2.0), blind, away], 0, np.array([0, 2000]))
+    miss, count = disagreement(CAMERA, [plane_view(0, 2.0), blind, away], 0, np.array([2040, 2041]))
     assert count.tolist() == [0, 0]
     assert np.isinf(miss).all()
     alone, count = disagreement(CAMERA, [plane_view(0, 2.0)], 0, np.array([0]))
