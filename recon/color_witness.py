@@ -16,15 +16,17 @@ from .camera import Camera
 from .color_depth import FEATURES, MIN_SOURCES, ColorDepth, choose_sources, depth_by_color, disagreement
 from .config import ColorConfig, UncertaintyConfig
 from .events import OnEvent, ignore, track_progress
+from .frame import Frame
 from .map_surface import MapSurface
 from .photo_match import GreyView
 from .recording import RunFrames
-from .uncertainty import NoiseModel
+from .uncertainty import NoiseModel, Residuals
 
 FULL_SIZE_PIXELS = 200_000  # larger images are halved: finer pixels than the map's samples cost time only
 SAMPLES = 4000  # pixels of a view that teach
 MIN_ONLOOKERS = 3
-_MAX_RESIDUAL_M = 1.0
+_STATE = ("frames", "indices", "poses", "depths", "betas", "testimony")
+TESTIMONY = 3000  # pixels of a view that the sensors' models learn from
 
 
 class ColorWitness:
@@ -38,6 +40,8 @@ class ColorWitness:
         self.poses: list[Tensor] = []
         self.depths: list[Tensor] = []
         self.betas: list[Tensor] = []
+        self.indices: list[int] = []
+        self.testimony: dict[str, Tensor] = {}
 
     def look(
         self, frames: RunFrames, poses: dict[int, np.ndarray], surface: MapSurface, on_event: OnEvent = ignore
@@ -47,7 +51,8 @@ class ColorWitness:
         Returns the mean negative log-likelihood in nats; None if nothing was found.
         """
         images = self._match(frames, poses, surface, on_event)
-        self.frames, self.poses, self.depths, self.betas = len(poses), [], [], []
+        self.frames = len(poses)
+        self.indices, self.poses, self.depths, self.betas, self.testimony = [], [], [], [], {}
         generator = torch.Generator().manual_seed(self.seed)
         noise = NoiseModel(self.uncertainty, generator, FEATURES)
         loss = self._learn(noise, images, generator)
@@ -55,17 +60,40 @@ class ColorWitness:
             return None
         for image in images:
             depth = torch.from_numpy(image.depth)
+            self.indices.append(image.index)
             self.poses.append(torch.from_numpy(image.T_world_camera).float())
             self.depths.append(depth)
             self.betas.append(noise.beta_image(depth, torch.from_numpy(image.features).float()).half())
         return loss
 
+    def confront(self, frame: Frame, features: dict[str, Tensor], view: int) -> None:
+        """Keep what colour and the sensors say at some pixels of a frame that is a view."""
+        depth, beta, _ = self._at_full_size(view)
+        pixels = depth.view(-1).nonzero()[:, 0]
+        rng = np.random.default_rng((self.seed, view))
+        pixels = pixels[torch.from_numpy(rng.integers(len(pixels), size=TESTIMONY))] if len(pixels) else pixels
+        sensors = torch.stack([image.view(-1)[pixels] for image in frame.depths.values()], 1)
+        inputs = torch.stack([image.view(-1, image.shape[-1])[pixels] for image in features.values()], 1)
+        told = {"color": depth.view(-1)[pixels], "beta": beta.view(-1)[pixels]}
+        told |= {"sensors": sensors, "inputs": inputs.half()}
+        self.testimony = {n: torch.cat([self.testimony[n], v]) if self.testimony else v for n, v in told.items()}
+
+    def against(self, column: int) -> Residuals:
+        """How far the readings of a sensor lie from what colour says, which errs by the beta of colour."""
+        depth = self.testimony["sensors"][:, column]
+        read = depth > 0
+        off = (depth - self.testimony["color"])[read].abs()
+        return Residuals(off, self.testimony["inputs"][read, column], self.testimony["beta"][read])
+
     def readings(self) -> Iterator[tuple[Tensor, Tensor, Tensor]]:
         """For each view: depth (H, W) and beta (H, W) in metres at the size of the recording, and T_world_camera."""
-        size = (self.full.width, self.full.height)
-        for depth, beta, pose in zip(self.depths, self.betas, self.poses, strict=True):
-            images = (cv2.resize(i.float().numpy(), size, interpolation=cv2.INTER_NEAREST) for i in (depth, beta))
-            yield *(torch.from_numpy(image) for image in images), pose
+        for view in range(len(self.depths)):
+            yield self._at_full_size(view)
+
+    def _at_full_size(self, view: int) -> tuple[Tensor, Tensor, Tensor]:
+        size, images = (self.full.width, self.full.height), (self.depths[view], self.betas[view])
+        depth, beta = (cv2.resize(i.float().numpy(), size, interpolation=cv2.INTER_NEAREST) for i in images)
+        return torch.from_numpy(depth), torch.from_numpy(beta), self.poses[view]
 
     @property
     def frames_per_view(self) -> float:
@@ -73,11 +101,11 @@ class ColorWitness:
 
     def state_dict(self) -> dict[str, Any]:
         """Plain tensors that `load_state_dict` continues from."""
-        return {"frames": self.frames, "poses": self.poses, "depths": self.depths, "betas": self.betas}
+        return {name: getattr(self, name) for name in _STATE}
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
-        self.frames, self.poses = state["frames"], state["poses"]
-        self.depths, self.betas = state["depths"], state["betas"]
+        for name in _STATE:
+            setattr(self, name, state[name])
 
     # --- views -------------------------------------------------------------------------------------------------
     def _match(
@@ -137,5 +165,5 @@ class ColorWitness:
         if sum(map(len, residuals)) < SAMPLES:
             return None
         inputs = torch.from_numpy(np.concatenate(features))
-        off = torch.from_numpy(np.concatenate(residuals)).float().clamp(max=_MAX_RESIDUAL_M)
-        return noise.learn(inputs, off, self.uncertainty.steps_per_sweep, generator)
+        off = torch.from_numpy(np.concatenate(residuals)).float()
+        return noise.learn(Residuals.against_truth(off, inputs), self.uncertainty.steps_per_sweep, generator)

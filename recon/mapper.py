@@ -19,14 +19,14 @@ from .keyframes import KeyframeSelector, RayStore
 from .map_surface import MapSurface
 from .noise_features import noise_features
 from .sensor_health import SensorHealth
-from .uncertainty import NoiseModel
+from .uncertainty import NoiseModel, Residuals
 
 WEIGHT_SCALE_M = 0.01  # a reading with this beta weighs 1
 WEIGHT_FLOOR = 0.5  # of the median weight of the image
 DOUBT_BETAS = 2.0  # a reading vouches for free space on the scale of this many betas before it
+COLOR_SHARE = 3.0  # readings of a sensor that one of colour outweighs: a sensor repeats its errors from frame to frame
 _ENOUGH_READINGS = 20_000  # for a median
 _MAX_SELF_SHARE = 0.9  # readings that make up more of the map than this say nothing about themselves
-_MAX_RESIDUAL_M = 1.0
 
 
 class Mapper:
@@ -169,7 +169,7 @@ class Mapper:
         """Fuse what colour says about the surface; each view stands for the frames between it and the next."""
         for depth, beta, T_world_camera in self.witness.readings():
             depth, beta, T_world_camera = (t.to(self.device) for t in (depth, beta, T_world_camera))
-            weight = self.witness.frames_per_view * self.weight(beta)
+            weight = COLOR_SHARE * self.witness.frames_per_view * self.weight(beta)
             free_space = FreeSpace.of(weight, _typical(weight, depth > 0), DOUBT_BETAS * beta)
             self.volume.allocate(depth, T_world_camera)
             self.volume.integrate(depth, weight, None, T_world_camera, free_space)
@@ -190,8 +190,10 @@ class Mapper:
                 points = rays["origins"][used] + rays["directions"][used] * hit[used, None]
                 residual, trusted = self._without_itself(residual, self.weight(model(inputs.float())), points)
                 residual, inputs = residual[trusted], inputs[trusted]
-            residual = residual.clamp(max=_MAX_RESIDUAL_M)
-            losses[sensor] = model.learn(inputs, residual, steps, self.generator)
+            residuals = Residuals.against_truth(residual, inputs)
+            if fused and self.witness.testimony:
+                residuals = residuals.joined(self.witness.against(column))
+            losses[sensor] = model.learn(residuals, steps, self.generator)
         return losses
 
     @torch.no_grad()

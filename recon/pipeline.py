@@ -236,6 +236,10 @@ def _hear_colors(frames: RunFrames, mapper: Mapper, progress: Progression, on_ev
     loss = mapper.witness.look(frames, poses, mapper.surface(), on_event)
     if loss is not None:
         progress.losses.setdefault("noise of colour", []).append(loss)
+    for number, view in enumerate(_views(frames, mapper.witness.indices, mapper)):
+        mapper.witness.confront(view.frame, view.features, number)
+    if mapper.witness.testimony:
+        mapper.learn()
 
 
 def _refined_field(mapper: Mapper, config: MapConfig, on_event: OnEvent) -> tuple[NeuralField, list[float]]:

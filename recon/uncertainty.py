@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 from itertools import pairwise
 
 import torch
@@ -15,7 +16,31 @@ from .losses import laplace_nll
 from .noise_features import FEATURES
 
 START_BETA_M = 0.05  # before anything is learned
+MAX_RESIDUAL_M = 1.0  # more is no noise
 PIXELS = 8192  # evaluated at a time: what the layers pass on then stays in the cache
+
+
+@dataclass(frozen=True)
+class Residuals:
+    """What a noise model learns from: how far readings lie from something (N,) metres, the inputs (N, F) of h_w there,
+    and the scale `blur` (N,) metres of the error of that something, 0 if it is unknown."""
+
+    metres: Tensor
+    features: Tensor
+    blur: Tensor
+
+    @staticmethod
+    def against_truth(metres: Tensor, features: Tensor) -> Residuals:
+        """Residuals against something that is not known to err."""
+        return Residuals(metres, features, torch.zeros_like(metres))
+
+    def __len__(self) -> int:
+        return len(self.metres)
+
+    def joined(self, other: Residuals) -> Residuals:
+        device = self.metres.device
+        pairs = ((self.metres, other.metres), (self.features, other.features), (self.blur, other.blur))
+        return Residuals(*(torch.cat([ours, theirs.to(device)]) for ours, theirs in pairs))
 
 
 class NoiseModel(nn.Module):
@@ -58,14 +83,16 @@ class NoiseModel(nn.Module):
         parts = features.reshape(-1, features.shape[-1]).split(PIXELS)
         return torch.cat([self(part) for part in parts]).view(depth.shape) * (depth > 0)
 
-    def learn(self, features: Tensor, residuals: Tensor, steps: int, generator: torch.Generator) -> float:
-        """Minimise the Laplace likelihood of `residuals` (N,) metres given `features` (N, F); returns the last mean."""
+    def learn(self, residuals: Residuals, steps: int, generator: torch.Generator) -> float:
+        """Minimise the Laplace likelihood of what was observed; returns the last mean, nats."""
         loss = torch.zeros(())
         if len(residuals) == 0:
             return math.nan
+        off = residuals.metres.clamp(max=MAX_RESIDUAL_M)
         for step in range(steps):
-            batch = torch.randint(len(residuals), (self.config.batch,), generator=generator).to(residuals.device)
-            loss = laplace_nll(residuals[batch], self(features[batch].float())).mean()
+            batch = torch.randint(len(residuals), (self.config.batch,), generator=generator).to(off.device)
+            beta = torch.hypot(self(residuals.features[batch].float()), residuals.blur[batch])
+            loss = laplace_nll(off[batch], beta).mean()
             self.optimizer.param_groups[0]["lr"] = self.config.learning_rate * (1 - 0.9 * step / steps)
             self.optimizer.zero_grad(set_to_none=True)
             loss.backward()

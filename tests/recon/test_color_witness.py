@@ -11,7 +11,7 @@ from uncle.recon.color_witness import FULL_SIZE_PIXELS, ColorWitness
 from uncle.recon.config import ColorConfig, UncertaintyConfig, make_config
 from uncle.recon.events import Progress
 from uncle.recon.frame import Frame
-from uncle.recon.mapper import Mapper
+from uncle.recon.mapper import COLOR_SHARE, Mapper
 from uncle.recon.recording import RunFrames
 
 STEPS = UncertaintyConfig(steps_per_sweep=150, learning_rate=0.01)
@@ -249,20 +249,20 @@ def test_a_map_that_was_broken_off_is_the_same_with_colours(box_room, walk, tmp_
 
 
 def test_a_view_weighs_as_much_as_the_frames_it_stands_for(box_room, walk):
-    """Fused alone: each sample holds frames_per_view times the weight of beta, and the surface lies at the readings."""
+    """Fused alone: each sample holds COLOR_SHARE * frames_per_view times the weight of beta, and the surface lies at the
+    readings."""
     config = make_config("uncle", ["fusion.voxel_size_m=0.05", "fusion.blur_voxels=1"], device="cpu")
     mapper = Mapper(box_room.camera, ("stereo",), config, torch.device("cpu"))
     depth = torch.full((120, 160), 2.0)
-    mapper.witness.load_state_dict(
-        {"frames": 7, "poses": [torch.eye(4)], "depths": [depth], "betas": [torch.full_like(depth, 0.0625).half()]}
-    )
+    state = {"frames": 7, "indices": [0], "poses": [torch.eye(4)], "depths": [depth], "testimony": {}}
+    mapper.witness.load_state_dict(state | {"betas": [torch.full_like(depth, 0.0625).half()]})
     mapper.add_colors()
     mapper.add_colors()
     volume = mapper.volume
     positions = volume.grid.block_positions(torch.arange(len(volume.grid.blocks))).view(-1, 3)
     near = ((positions[:, 2] - 2.0).abs() < 0.1) & (volume.counts() == 2)
     assert near.sum() > 1000
-    expected = 2 * 7 * mapper.weight(torch.tensor(0.0625))
+    expected = 2 * COLOR_SHARE * 7 * mapper.weight(torch.tensor(0.0625))
     torch.testing.assert_close(volume.sums[near, 0], expected.expand(int(near.sum())), rtol=1e-4, atol=0)
     torch.testing.assert_close(volume.sdf()[near], 2.0 - positions[near, 2], atol=1e-4, rtol=0)
     assert not volume.color_sums.any()

@@ -9,7 +9,7 @@ from uncle.recon.config import UncertaintyConfig
 from uncle.recon.fusion_log import LEVER_M, FusionLog
 from uncle.recon.noise_features import FEATURES
 from uncle.recon.tracking.motion import moved
-from uncle.recon.uncertainty import NoiseModel
+from uncle.recon.uncertainty import NoiseModel, Residuals
 
 
 def models() -> dict[str, NoiseModel]:
@@ -48,7 +48,7 @@ def test_snapshots_are_shared_until_a_model_learns():
     log.note(0, torch.eye(4), noise, 1)
     log.note(1, torch.eye(4), noise, 2)
     before = noise["b"](features).detach()
-    noise["b"].learn(features, torch.rand(50), 3, torch.Generator())
+    noise["b"].learn(Residuals.against_truth(torch.rand(50), features), 3, torch.Generator())
     log.note(2, torch.eye(4), noise, 3)
     log.note(3, torch.eye(4), noise, 4)
     assert [log.entries[i].snapshot for i in range(4)] == [0, 0, 1, 1]

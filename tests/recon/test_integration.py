@@ -4,7 +4,6 @@ import itertools
 
 import pytest
 import torch
-
 from uncle.recon.fusion import FreeSpace, FusionVolume
 from uncle.recon.grid import SparseGrid
 from uncle.recon.integration import Bounds, Observation, integrate, integrate_tensors

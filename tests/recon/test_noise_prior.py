@@ -19,7 +19,7 @@ from uncle.recon.noise_features import FEATURES
 from uncle.recon.noise_prior import NoisePrior, save_noise_models
 from uncle.recon.recording import RunFrames
 from uncle.recon.run import RunDirectory
-from uncle.recon.uncertainty import NoiseModel
+from uncle.recon.uncertainty import NoiseModel, Residuals
 
 QUICK = [
     "fusion.voxel_size_m=0.05", "fusion.min_readings=2", "keyframes.rays=500", "field.iterations=3", "field.rays=256",
@@ -35,7 +35,7 @@ def learned_model(seed: int = 0, **config) -> NoiseModel:
     generator = torch.Generator().manual_seed(seed)
     model = NoiseModel(UncertaintyConfig(batch=64, **config), generator)
     features = torch.rand(500, len(FEATURES), generator=generator)
-    model.learn(features, 0.05 * features[:, 0], 20, generator)
+    model.learn(Residuals.against_truth(0.05 * features[:, 0], features), 20, generator)
     return model
 
 

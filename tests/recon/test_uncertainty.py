@@ -7,7 +7,7 @@ import torch
 from uncle.recon.config import UncertaintyConfig, make_config
 from uncle.recon.errors import ConfigError
 from uncle.recon.noise_features import FEATURES
-from uncle.recon.uncertainty import PIXELS, START_BETA_M, NoiseModel, seen_features
+from uncle.recon.uncertainty import PIXELS, START_BETA_M, NoiseModel, Residuals, seen_features
 
 SCALES = (0.01, 0.06)  # metres: of readings whose first feature is -1 and +1
 
@@ -28,7 +28,7 @@ def draw(count: int, scales: tuple[float, float] = SCALES) -> tuple[torch.Tensor
 def test_learns_a_noise_of_two_levels():
     features, residuals = draw(40_000)
     model = NoiseModel(UncertaintyConfig(batch=2048), generator())
-    loss = model.learn(features, residuals, 400, generator())
+    loss = model.learn(Residuals.against_truth(residuals, features), 400, generator())
     fresh = draw(4000)[0]
     beta = model(fresh).detach()
     for sign, scale in zip((-1, 1), SCALES, strict=True):
@@ -47,7 +47,7 @@ def test_never_promises_more_than_the_least_scale():
     config = UncertaintyConfig(beta_min_m=0.02, batch=256, learning_rate=0.05)
     model = NoiseModel(config, generator())
     features, residuals = draw(2000, (1e-5, 1e-5))
-    model.learn(features, residuals, 100, generator())
+    model.learn(Residuals.against_truth(residuals, features), 100, generator())
     beta = model(features).detach()
     assert float(beta.min()) >= 0.02 - 1e-8
     assert float(beta.max()) < 0.03
@@ -58,7 +58,7 @@ def test_same_seed_same_model():
     models = []
     for seed in (5, 5, 6):
         model = NoiseModel(UncertaintyConfig(batch=256), generator(seed))
-        model.learn(features, residuals, 20, generator(seed))
+        model.learn(Residuals.against_truth(residuals, features), 20, generator(seed))
         models.append(model(features).detach())
     assert torch.equal(models[0], models[1])
     assert not torch.equal(models[0], models[2])
@@ -67,7 +67,9 @@ def test_same_seed_same_model():
 def test_nothing_to_learn_from():
     model = NoiseModel(UncertaintyConfig(), generator())
     before = [values.clone() for values in model.state_dict().values()]
-    assert math.isnan(model.learn(torch.zeros(0, len(FEATURES)), torch.zeros(0), 10, generator()))
+    assert math.isnan(
+        model.learn(Residuals.against_truth(torch.zeros(0), torch.zeros(0, len(FEATURES))), 10, generator())
+    )
     assert all(torch.equal(a, b) for a, b in zip(before, model.state_dict().values(), strict=True))
 
 
@@ -87,7 +89,9 @@ def test_inputs_that_are_not_named_are_not_seen():
     config = make_config("uncle", ['uncertainty.features=["depth", "holes_3"]']).uncertainty
     model = NoiseModel(config, generator())
     features = torch.rand(500, len(FEATURES), generator=generator(5))
-    model.learn(features, features[:, FEATURES.index("image_x")], 20, generator())  # what it must not see tells most
+    model.learn(
+        Residuals.against_truth(features[:, FEATURES.index("image_x")], features), 20, generator()
+    )  # what it must not see tells most
     seen = [FEATURES.index(name) for name in ("depth", "holes_3")]
     others = features.clone()
     others[:, [column for column in range(len(FEATURES)) if column not in seen]] = 9.0

@@ -11,7 +11,7 @@ from uncle.recon.frame import Frame
 from uncle.recon.noise_features import FEATURES
 from uncle.recon.tracking.local_features import LocalFeatures, no_features
 from uncle.recon.tracking.sightings import EDGE_SHARE, UNTAUGHT, prepare, readings_of, sight, surface_view, weigh
-from uncle.recon.uncertainty import NoiseModel
+from uncle.recon.uncertainty import NoiseModel, Residuals
 
 CAMERA = Camera(160, 120, 120.0, 120.0, 79.5, 59.5)
 NORMALS = torch.tensor([0.0, 0.0, -1.0]).expand(120, 160, 3)
@@ -30,7 +30,7 @@ def frame(**depths: torch.Tensor) -> Frame:
 def taught(beta_m: float) -> NoiseModel:
     """A model that says `beta_m` whatever it sees."""
     model = NoiseModel(UncertaintyConfig(), torch.Generator().manual_seed(0))
-    model.learn(torch.zeros(20, len(FEATURES)), torch.ones(20), 1, torch.Generator())
+    model.learn(Residuals.against_truth(torch.ones(20), torch.zeros(20, len(FEATURES))), 1, torch.Generator())
     with torch.no_grad():
         model.layers[-1].weight.zero_()
         model.layers[-1].bias.fill_(math.log(math.expm1(beta_m - model.config.beta_min_m)))
