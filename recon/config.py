@@ -36,7 +36,7 @@ class UncertaintyConfig(_Strict):
     """The network h_w of each sensor: from its image to the scale beta of the error of each reading."""
 
     enabled: bool = Field(True, description="Learn how noisy each sensor is; false: every reading weighs the same.")
-    hidden: int = Field(32, ge=4, description="Width of the two hidden layers.")
+    hidden: int = Field(16, ge=4, description="Width of the two hidden layers.")
     features: tuple[str, ...] = Field(
         (), description='Inputs that the network sees, for ablations, such as ["depth", "incidence"]; empty: all.'
     )
