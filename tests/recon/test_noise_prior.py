@@ -100,8 +100,8 @@ def test_what_is_no_file_of_models_is_refused(file, tmp_path):
 def test_models_of_another_shape_are_refused(file, tmp_path, monkeypatch):
     prior = NoisePrior.load(file)
     prior.require_fit(["sl"], UncertaintyConfig())
-    with pytest.raises(ConfigError, match=r"sensor sl.*32 wide, here 16; add --set uncertainty\.hidden=32"):
-        prior.require_fit(["sl"], UncertaintyConfig(hidden=16))
+    with pytest.raises(ConfigError, match=r"sensor sl.*16 wide, here 24; add --set uncertainty\.hidden=16"):
+        prior.require_fit(["sl"], UncertaintyConfig(hidden=24))
     with pytest.raises(ConfigError, match=r"other inputs; add --set 'uncertainty\.features=\[\"depth"):
         prior.require_fit(["sl"], UncertaintyConfig(features=("depth",)))
     prior.sensors["sl"]["weights"]["layers.0.bias"] = torch.zeros(3)
