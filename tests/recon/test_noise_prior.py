@@ -175,8 +175,8 @@ def test_what_cannot_start_from_a_prior_is_said(rig):
     prior = NoisePrior.load(model)
     with pytest.raises(ConfigError, match="learned uncertainty"):
         map_run(run, make_config("tsdf", ["fusion.voxel_size_m=0.05"]), prior=prior)
-    with pytest.raises(ConfigError, match="16; add --set"):
-        map_run(run, settings("uncertainty.hidden=16"), prior=prior)
+    with pytest.raises(ConfigError, match="24; add --set"):
+        map_run(run, settings("uncertainty.hidden=24"), prior=prior)
     assert "map" not in run.manifest.stages
     events = []
     only = NoisePrior(model, {"gt": prior.sensors["gt"]})
