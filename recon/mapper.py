@@ -24,9 +24,7 @@ from .uncertainty import NoiseModel, Residuals
 WEIGHT_SCALE_M = 0.01  # a reading with this beta weighs 1
 WEIGHT_FLOOR = 0.5  # of the median weight of the image
 DOUBT_BETAS = 2.0  # a reading vouches for free space on the scale of this many betas before it
-COLOR_SHARE = (
-    1.0  # of a reading of colour; 3 is worth 4 points of F where poses and calibration are exact, but not else
-)
+COLOR_SHARE = 1.0  # of a reading of colour; more pays only where poses and calibration are exact
 _ENOUGH_READINGS = 20_000  # for a median
 _MAX_SELF_SHARE = 0.9  # readings that make up more of the map than this say nothing about themselves
 
