@@ -16,6 +16,7 @@ import numpy as np
 
 from .camera import Camera
 from .photo_match import GreyView, agreement_volume, texture
+from .visibility import project_into
 
 SOURCES = 6
 MIN_SOURCES = 2
@@ -101,13 +102,11 @@ def disagreement(
     world = local @ image.T_world_camera[:3, :3].T + image.T_world_camera[:3, 3]
     misses = []
     for other in _onlookers(camera, images, which):
-        there = (world - other.T_world_camera[:3, 3]) @ other.T_world_camera[:3, :3]
-        z = np.maximum(there[:, 2], 1e-3)
-        u = np.rint(camera.fx * there[:, 0] / z + camera.cx).astype(np.int64)
-        v = np.rint(camera.fy * there[:, 1] / z + camera.cy).astype(np.int64)
-        seen = (there[:, 2] > 0.1) & (u >= 0) & (v >= 0) & (u < camera.width) & (v < camera.height)
-        measured = np.where(seen, other.depth[v.clip(0, camera.height - 1), u.clip(0, camera.width - 1)], 0)
-        misses.append(np.where(measured > 0, np.abs(there[:, 2] - measured), np.inf))
+        inside, pixels_there, z = project_into(world, camera, other.T_world_camera)
+        measured = other.depth[pixels_there[:, 1], pixels_there[:, 0]]
+        miss = np.full(len(world), np.inf)
+        miss[inside] = np.where(measured > 0, np.abs(z - measured), np.inf)
+        misses.append(miss)
     if not misses:
         return np.full(len(pixels), np.inf), np.zeros(len(pixels), np.int64)
     ordered = np.sort(np.stack(misses), axis=0)
