@@ -2,37 +2,29 @@
 
 from __future__ import annotations
 
-import functools
-import json
 import resource
-import shutil
 import sys
 import time
-from collections import Counter
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 import torch
-from torch import Tensor
 
-from . import sensor_record
 from .checkpoint import Checkpoint, load_tensors, save_tensors
 from .config import MapConfig, to_toml
-from .errors import ConfigError, DataError, RunError
-from .events import Note, OnEvent, Warn, ignore, track_progress
+from .errors import ConfigError, RunError
+from .events import Note, OnEvent, Warn, ignore
 from .field import NeuralField
-from .frame import Frame
-from .noise_prior import NoisePrior, save_noise_models
-from .pipeline import choose_device, choose_tracker, reconstruct
+from .methods import Job, make_map
+from .noise_prior import NoisePrior
+from .pipeline import choose_device
 from .recording import RunFrames
 from .run import Manifest, RunDirectory, config_hash
-from .sensor_health import SensorHealth
-from .storage import BETA_UNITS_PER_M, encode_metres, explain_write_errors, write_image, write_text
-from .tracking import GivenPoses, Tracker, require_found
+from .storage import write_text
+from .tracking import GivenPoses
 from .tracking_record import TrackingRecord
 from .trajectory import Trajectory
-from .tsdf import fuse_open3d
 
 STAGE = "map"
 
@@ -71,20 +63,24 @@ def map_run(
     _prepare(checkpoint, resume and not overwrite, on_event)
     torch.manual_seed(config.seed)
     started = time.time()
-    field, poses, tracking, made = _reconstruct(run, frames, indices, config, checkpoint, prior, on_event)
-    facts |= made
-    save_tensors(run.field_path, field.to_state())
-    _trajectory(frames, poses).save(run.trajectory_path)
-    if tracking is not None:
-        tracking.save(run.tracking_path)
-        facts["tracking"] = tracking.counts()
-        _report_lost(tracking, on_event)
+    made = make_map(Job(run, frames, indices, config, checkpoint, prior, on_event))
+    facts |= made.facts
+    save_tensors(run.field_path, made.field.to_state())
+    _trajectory(frames, made.poses).save(run.trajectory_path)
+    if made.tracking is not None:
+        made.tracking.save(run.tracking_path)
+        facts["tracking"] = made.tracking.counts()
+        _report_lost(made.tracking, on_event)
     write_text(run.config_path, to_toml(config))
     facts |= {"method": config.method, "sensors": list(config.sensors), "seed": config.seed, "held_out": held_out}
-    facts |= {"device": str(choose_device(config.device)), "frames": len(poses), "peak_memory_mb": peak_memory_mb()}
+    facts |= {
+        "device": str(choose_device(config.device)),
+        "frames": len(made.poses),
+        "peak_memory_mb": peak_memory_mb(),
+    }
     run.finish_stage(STAGE, digest, started, facts)
     checkpoint.remove()
-    return MapSummary(len(poses), time.time() - started, facts["peak_memory_mb"])
+    return MapSummary(len(made.poses), time.time() - started, facts["peak_memory_mb"])
 
 
 def load_field(run: RunDirectory, device: str = "cpu") -> NeuralField:
@@ -148,55 +144,6 @@ def _prepare(checkpoint: Checkpoint, resume: bool, on_event: OnEvent) -> None:
         raise RunError("the interrupted map has other settings; give the same ones, or start over without --resume")
 
 
-def _reconstruct(run, frames, indices, config, checkpoint, prior, on_event):
-    """Field, poses by frame index, tracking record or None, facts."""
-    if config.method == "tsdf":
-        return _reconstruct_open3d(run, frames, indices, config, on_event)
-
-    drop_earlier_map = functools.cache(lambda: _drop_earlier_map(run))
-
-    def write_beta(index: int, sensor: str, beta: Tensor) -> None:
-        drop_earlier_map()
-        write_image(run.beta_path(sensor, index), encode_metres(beta.numpy(), BETA_UNITS_PER_M))
-
-    made = reconstruct(frames, indices, config, checkpoint, write_beta, on_event, prior)
-    _require_surface(made.field)
-    drop_earlier_map()
-    write_text(run.curves_path, json.dumps(_curves(made.curves)))
-    seconds = {name: round(value, 2) for name, value in made.seconds.items()}
-    facts = {"seconds": seconds, "keyframes": len(made.mapper.selector.T_camera_world)}
-    facts["sensor_share"] = {sensor: round(share, 4) for sensor, share in made.mapper.sensor_share().items()}
-    facts |= _report_health(run, made.mapper.health, on_event)
-    if config.uncertainty.enabled:
-        save_noise_models(run.noise_model_path, made.mapper.noise)
-    return made.field, made.poses, made.tracking, facts
-
-
-def _reconstruct_open3d(run, frames, indices, config, on_event):
-    began = time.time()
-    tracker = choose_tracker(frames, config, None)
-    poses = _track_alone(frames, indices, tracker, on_event) if config.tracking.enabled else None
-    tracked = time.time()
-    field, poses = fuse_open3d(frames, indices, config, on_event, poses)
-    _require_surface(field)
-    _drop_earlier_map(run)
-    seconds = {"tracking": round(tracked - began, 2)} if config.tracking.enabled else {}
-    return field, poses, tracker.record(), {"seconds": seconds | {"fusion": round(time.time() - tracked, 2)}}
-
-
-def _track_alone(frames: RunFrames, indices: list[int], tracker: Tracker, on_event: OnEvent) -> dict[int, np.ndarray]:
-    """Poses by frame index from the images alone, without a map."""
-
-    def prepare(frame: Frame) -> tuple[Frame, Any]:
-        return frame, tracker.prepare(frame, {s: frames.normals(frame.index, s) for s in frames.sensors})
-
-    for frame, prepared in track_progress(frames.stream(indices, prepare), len(indices), "tracking", on_event):
-        tracker.track(frame, prepared, {})
-    poses = tracker.finish()
-    require_found(poses, len(indices))
-    return poses
-
-
 def _report_lost(tracking: TrackingRecord, on_event: OnEvent) -> None:
     """One line on how many frames were lost and where."""
     ranges = tracking.lost_ranges()
@@ -208,42 +155,7 @@ def _report_lost(tracking: TrackingRecord, on_event: OnEvent) -> None:
         on_event(Warn(text))
 
 
-def _report_health(run: RunDirectory, health: SensorHealth, on_event: OnEvent) -> dict[str, Any]:
-    """Write what was wrong with the sensors, and say it; facts: by sensor and reason, frames that were left out."""
-    sensor_record.save(run.sensors_path, health.verdicts)
-    left_out: dict[str, Any] = {}
-    for sensor, verdicts in health.verdicts.items():
-        for sentence in sensor_record.describe(sensor, verdicts):
-            on_event(Warn(sentence))
-        counts = Counter(verdict for verdict in verdicts.values() if verdict != "ok")
-        left_out |= {sensor: dict(counts)} if counts else {}
-    return {"left_out": left_out} if left_out else {}
-
-
-def _require_surface(field: NeuralField) -> None:
-    if not bool(field.known.any()):
-        raise DataError("nothing was seen often enough to make a surface; map more frames or lower fusion.min_readings")
-
-
-def _curves(losses: dict[str, list[float]]) -> dict[str, Any]:
-    axes = {"x_label": "step", "y_label": "negative log-likelihood (nats)"}
-    return {name: {"x": list(range(len(y))), "y": y, **axes} for name, y in losses.items() if y}
-
-
 def _trajectory(frames: RunFrames, poses: dict[int, np.ndarray]) -> Trajectory:
     order = sorted(poses)
     stamps = np.array([frames.records[index].timestamp for index in order])
     return Trajectory(stamps, np.stack([np.asarray(poses[index]) for index in order]))
-
-
-def _drop_earlier_map(run: RunDirectory) -> None:
-    """Forget the map and all that was made of it, before the first file of a new one takes the place of an old one."""
-    manifest = run.manifest
-    manifest.stages = {name: record for name, record in manifest.stages.items() if name == "preprocess"}
-    run.save_manifest(manifest)
-    with explain_write_errors(run.root):
-        shutil.rmtree(run.root / "beta", ignore_errors=True)
-        run.curves_path.unlink(missing_ok=True)
-        run.noise_model_path.unlink(missing_ok=True)
-        run.tracking_path.unlink(missing_ok=True)
-        run.sensors_path.unlink(missing_ok=True)

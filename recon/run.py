@@ -102,6 +102,10 @@ class RunDirectory:
         return self.root / "map" / "noise_model.pt"
 
     @property
+    def system_path(self) -> Path:
+        return self.root / "map" / "system.pt"
+
+    @property
     def checkpoint_path(self) -> Path:
         return self.root / "map" / "checkpoint.pt"
 

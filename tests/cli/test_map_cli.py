@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from click.testing import CliRunner, Result
 from uncle.cli.main import main
-from uncle.recon import map_stage, storage
+from uncle.recon import map_output, storage
 from uncle.recon.mesh_io import Mesh
 from uncle.recon.run import RunDirectory
 
@@ -151,7 +151,7 @@ def test_disk_full_while_writing_beta_keeps_earlier_stages(run, monkeypatch):
                 raise OSError(errno.ENOSPC, "No space left on device")
         storage.write_image(path, image)
 
-    monkeypatch.setattr(map_stage, "write_image", write_image)
+    monkeypatch.setattr(map_output, "write_image", write_image)
     message = one_line(uncle_map(run))
     assert "the disk is full" in message
     assert str(written[-1]) in message

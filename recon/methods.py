@@ -1,0 +1,128 @@
+"""How each method makes its map: fusion with learned uncertainty, plain fusion, or a field optimised frame by frame."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import torch
+
+from .checkpoint import Checkpoint, save_tensors
+from .config import MapConfig
+from .errors import DataError
+from .events import OnEvent, track_progress
+from .field import NeuralField
+from .frame import Frame
+from .map_output import MapOutput
+from .noise_prior import NoisePrior, save_noise_models
+from .online import OnlineSystem, map_online
+from .pipeline import choose_device, choose_tracker, reconstruct
+from .recording import RunFrames
+from .run import RunDirectory
+from .tracking import Tracker, require_found
+from .tracking_record import TrackingRecord
+from .tsdf import fuse_open3d
+
+
+@dataclass(frozen=True)
+class Job:
+    """What every method is given: the frames `indices` of a run, and the settings."""
+
+    run: RunDirectory
+    frames: RunFrames
+    indices: list[int]
+    config: MapConfig
+    checkpoint: Checkpoint
+    prior: NoisePrior | None
+    on_event: OnEvent
+
+
+@dataclass(frozen=True)
+class Made:
+    """What every method returns: the field, T_world_camera by frame index, how sure the poses are if they were
+    tracked, and facts for the manifest."""
+
+    field: NeuralField
+    poses: dict[int, np.ndarray]
+    tracking: TrackingRecord | None
+    facts: dict[str, Any]
+
+
+# method -> its system; imported when it is wanted
+SYSTEMS: dict[str, Callable[[RunFrames, MapConfig, torch.device], OnlineSystem]] = {}
+
+
+def make_map(job: Job) -> Made:
+    """Make the map of `job` by the method that its settings name. Raises DataError if there is no surface."""
+    if job.config.method in SYSTEMS:
+        return _optimised(job, SYSTEMS[job.config.method])
+    return _fused_plainly(job) if job.config.method == "tsdf" else _fused(job)
+
+
+def _fused(job: Job) -> Made:
+    output, config = MapOutput(job.run), job.config
+    made = reconstruct(
+        job.frames, job.indices, config, job.checkpoint, output.write_beta, job.on_event, job.prior
+    )  # fmt: skip
+    _require_surface(made.field)
+    output.drop_earlier_map()
+    output.write_curves(made.curves)
+    facts = {"seconds": _rounded(made.seconds), "keyframes": len(made.mapper.selector.T_camera_world)}
+    facts["sensor_share"] = {sensor: round(share, 4) for sensor, share in made.mapper.sensor_share().items()}
+    facts |= output.write_health(made.mapper.health, job.on_event)
+    if config.uncertainty.enabled:
+        save_noise_models(job.run.noise_model_path, made.mapper.noise)
+    return Made(made.field, made.poses, made.tracking, facts)
+
+
+def _fused_plainly(job: Job) -> Made:
+    began = time.time()
+    tracker = choose_tracker(job.frames, job.config, None)
+    poses = _track_alone(job, tracker) if job.config.tracking.enabled else None
+    tracked = time.time()
+    field, poses = fuse_open3d(job.frames, job.indices, job.config, job.on_event, poses)
+    _require_surface(field)
+    MapOutput(job.run).drop_earlier_map()
+    seconds = {"tracking": tracked - began} if job.config.tracking.enabled else {}
+    return Made(field, poses, tracker.record(), {"seconds": _rounded(seconds | {"fusion": time.time() - tracked})})
+
+
+def _optimised(job: Job, make_system: Callable[[RunFrames, MapConfig, torch.device], OnlineSystem]) -> Made:
+    output = MapOutput(job.run)
+    system = make_system(job.frames, job.config, choose_device(job.config.device))
+    made = map_online(
+        job.frames, job.indices, job.config, system, job.checkpoint, output.write_beta, job.on_event
+    )  # fmt: skip
+    _require_surface(made.field)
+    output.drop_earlier_map()
+    output.write_curves(made.curves)
+    save_tensors(job.run.system_path, system.artifacts())
+    return Made(
+        made.field, made.poses, made.tracking, {"seconds": _rounded(made.seconds), "keyframes": system.keyframes()}
+    )
+
+
+def _track_alone(job: Job, tracker: Tracker) -> dict[int, np.ndarray]:
+    """Poses by frame index from the images alone, without a map."""
+    frames, count = job.frames, len(job.indices)
+
+    def prepare(frame: Frame) -> tuple[Frame, Any]:
+        return frame, tracker.prepare(frame, {s: frames.normals(frame.index, s) for s in frames.sensors})
+
+    for frame, prepared in track_progress(frames.stream(job.indices, prepare), count, "tracking", job.on_event):
+        tracker.track(frame, prepared, {})
+    poses = tracker.finish()
+    require_found(poses, count)
+    return poses
+
+
+def _require_surface(field: NeuralField) -> None:
+    if not bool(field.known.any()):
+        raise DataError("nothing was seen often enough to make a surface; map more frames or lower fusion.min_readings")
+
+
+def _rounded(seconds: dict[str, float]) -> dict[str, float]:
+    return {name: round(value, 2) for name, value in seconds.items()}
