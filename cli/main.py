@@ -14,7 +14,7 @@ import click
 # the OpenMP runtime when PyTorch is loaded, hence here.
 os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
 
-# command -> (module, one-line help). The module is imported only when the command runs or shows its own help.
+# command -> one-line help. Its module is imported only when the command runs or shows its own help.
 COMMANDS: dict[str, str] = {
     "demo": "Make a small room, reconstruct it with two sensors and write a report.",
     "synth": "Make a multi-sensor data set from a furnished room or from a mesh.",
@@ -25,23 +25,32 @@ COMMANDS: dict[str, str] = {
     "uncertainty": "Show how far each sensor of a map can be trusted.",
     "snapshot": "Draw pictures of a mesh or of a run.",
     "report": "Write one HTML page about a run.",
+    "pretrain": "Train what some methods bring with them, on scenes made here.",
 }
 
 
 class LazyGroup(click.Group):
-    """A group that knows its commands' names and one-line helps without importing them."""
+    """A group that knows its commands' names and one-line helps without importing them.
+
+    lazy: name -> one-line help. The command `name` is `command` in the module of this package that is called
+    prefix + name.
+    """
+
+    def __init__(self, *args: Any, lazy: dict[str, str], prefix: str = "", **kwargs: Any) -> None:
+        super().__init__(*args, **kwargs)
+        self.lazy, self.prefix = lazy, prefix
 
     def list_commands(self, ctx: click.Context) -> list[str]:
-        return list(COMMANDS)
+        return list(self.lazy)
 
     def get_command(self, ctx: click.Context, name: str) -> click.Command | None:
-        if name not in COMMANDS:
+        if name not in self.lazy:
             return None
-        return importlib.import_module(f".{name}", __package__).command
+        return importlib.import_module(f".{self.prefix}{name}", __package__).command
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         with formatter.section("Commands"):
-            formatter.write_dl(list(COMMANDS.items()))
+            formatter.write_dl(list(self.lazy.items()))
 
     def invoke(self, ctx: click.Context) -> Any:
         """Run a command; errors meant for people become one line and exit code 1."""
@@ -63,7 +72,9 @@ class LazyGroup(click.Group):
             raise SystemExit(130) from interrupt
 
 
-@click.group(cls=LazyGroup, context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 110})
+@click.group(
+    cls=LazyGroup, lazy=COMMANDS, context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 110}
+)  # fmt: skip
 @click.version_option(version("uncle"), prog_name="uncle")
 @click.option("-v", "--verbose", is_flag=True, help="Say more on stderr.")
 @click.option("-q", "--quiet", is_flag=True, help="Say only errors.")

@@ -7,17 +7,21 @@ from uncle.cli.main import main
 
 PAGE = Path(__file__).with_name("cli.md")
 WIDTH = 100
+SETTINGS = {**main.context_settings, "terminal_width": WIDTH, "max_content_width": WIDTH}
+
+
+def helps(command: click.Command, context: click.Context) -> list[tuple[str, str]]:
+    """(name, help) of a command and, where it is a group, of all its commands."""
+    found = [(context.command_path, command.get_help(context))]
+    for name in command.list_commands(context) if isinstance(command, click.Group) else []:
+        inner = command.get_command(context, name)
+        found += helps(inner, click.Context(inner, info_name=name, parent=context, **SETTINGS))
+    return found
 
 
 def render() -> str:
     """The page."""
-    settings = {**main.context_settings, "terminal_width": WIDTH, "max_content_width": WIDTH}
-    root = click.Context(main, info_name="uncle", **settings)
-    sections = [("uncle", main.get_help(root))]
-    for name in main.list_commands(root):
-        command = main.get_command(root, name)
-        context = click.Context(command, info_name=name, parent=root, **settings)
-        sections.append((f"uncle {name}", command.get_help(context)))
+    sections = helps(main, click.Context(main, info_name="uncle", **SETTINGS))
     blocks = [f"## {title}\n\n```text\n{text.rstrip()}\n```" for title, text in sections]
     head = "# Command line\n\nGenerated from the help of the commands by `make docs`."
     return "\n\n".join([head, *blocks]) + "\n"

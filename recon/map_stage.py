@@ -13,12 +13,12 @@ import torch
 
 from .checkpoint import Checkpoint, load_tensors, save_tensors
 from .config import MapConfig, to_toml
+from .device import choose_device
 from .errors import ConfigError, RunError
 from .events import Note, OnEvent, Warn, ignore
 from .field import NeuralField
 from .methods import Job, make_map
 from .noise_prior import NoisePrior
-from .pipeline import choose_device
 from .recording import RunFrames
 from .run import Manifest, RunDirectory, config_hash
 from .storage import write_text

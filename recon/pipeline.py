@@ -14,6 +14,7 @@ from torch import Tensor
 
 from .checkpoint import Checkpoint
 from .config import MapConfig
+from .device import choose_device
 from .errors import DataError
 from .events import Note, OnEvent, Progress, ignore
 from .field import NeuralField
@@ -116,13 +117,6 @@ def reconstruct(
     return Reconstruction(
         mapper, result, poses, {**progress.losses, "refinement": losses}, progress.seconds, tracker.record()
     )
-
-
-def choose_device(name: str) -> torch.device:
-    """`auto` takes CUDA where there is one. Raises DataError if `cuda` is asked for and missing."""
-    if name == "cuda" and not torch.cuda.is_available():
-        raise DataError("--device cuda: PyTorch finds no CUDA device here; use --device auto or cpu")
-    return torch.device("cuda" if name != "cpu" and torch.cuda.is_available() else "cpu")
 
 
 def choose_tracker(frames: RunFrames, config: MapConfig, mapper: Mapper | None) -> Tracker:

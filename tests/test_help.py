@@ -6,6 +6,7 @@ import sys
 import pytest
 from click.testing import CliRunner
 from uncle.cli.main import COMMANDS, main
+from uncle.cli.pretrain import PRETRAIN
 
 CHECK = """
 import sys
@@ -30,6 +31,11 @@ def test_help_imports_nothing_heavy():
 @pytest.mark.parametrize("name", list(COMMANDS))
 def test_help_of_commands_imports_nothing_heavy(name):
     imports_nothing_heavy(name, "--help")
+
+
+@pytest.mark.parametrize("name", list(PRETRAIN))
+def test_help_of_trainings_imports_nothing_heavy(name):
+    imports_nothing_heavy("pretrain", name, "--help")
 
 
 def test_every_command_is_listed():
