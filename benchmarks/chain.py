@@ -3,29 +3,20 @@
 from __future__ import annotations
 
 import argparse
-import json
 import sys
 from collections.abc import Iterable
 from functools import partial
 from pathlib import Path
 from typing import NamedTuple
 
-from common import (
-    Record,
-    carry_out,
-    cell,
-    map_facts,
-    new_run,
-    ratio,
-    sensor_options,
-    surface_scores,
-    table,
-    uncle,
-)  # fmt: skip
+from common import carry_out
+from uncle.recon.bench.process import Record, evaluate, map_costs, new_run, sensor_options, uncle
+from uncle.recon.bench.scores import scores
+from uncle.recon.bench.tables import cell, markdown_table, ratio
+from uncle.recon.errors import UncleError
 
 BASELINE = "tsdf"  # knows no seed: scored once, timed BASELINE_TIMES between the other runs
 BASELINE_TIMES = 3
-UNCERTAINTY = ("rank_correlation", "nll_nats", "nll_constant_nats", "coverage_50", "coverage_90", "ause", "ause_gain")
 # heading, key in the record, factor, digits, whether minimum and maximum are shown
 SCENE_COLUMNS = (
     ("F 5 cm %", "f_score_5cm", 100, 2, True), ("F 2 cm %", "f_score_2cm", 100, 2, True),
@@ -68,15 +59,6 @@ def plan(dataset: str, sensor_sets: list[str], methods: list[str], seeds: int, h
     ]
 
 
-def scores(metrics: Record) -> Record:
-    """The figures of `RUN/metrics.json` that are compared, flat; SI units, ratios 0..1. What was not scored is out."""
-    found: Record = surface_scores(metrics["surface"]) if metrics.get("surface") else {}
-    for depth in list(metrics.get("held_out", {}).values())[:1]:  # gt where there is one, else the first sensor
-        found |= {"held_out_l1_m": depth["l1_m"], "held_out_median_m": depth["median_m"]}
-        found |= {"held_out_seen": depth["completeness"], "held_out_sensor": depth["sensor"]}
-    return found | {"uncertainty": {s: {n: u[n] for n in UNCERTAINTY} for s, u in metrics["uncertainty"].items()}}
-
-
 def groups(records: Iterable[Record]) -> dict[tuple[str, ...], list[Record]]:
     """Records that differ in the seed alone, by (data set, sensors, held out, method)."""
     found: dict[tuple[str, ...], list[Record]] = {}
@@ -98,11 +80,13 @@ def markdown(records: Iterable[Record]) -> str:
     names = ["data set", "sensors", "held out", "method"]
     scene_header = [*names, "runs", *(column[0] for column in SCENE_COLUMNS), f"time / {BASELINE}"]
     sensor_header = [*names, "sensor", "runs", *(column[0] for column in SENSOR_COLUMNS)]
-    return "\n".join([*table(scene_header, scene_rows), "", *table(sensor_header, sensor_rows)]).strip()
+    return "\n".join(
+        [*markdown_table(scene_header, scene_rows), "", *markdown_table(sensor_header, sensor_rows)]
+    ).strip()
 
 
 def execute(job: Job, base: Path, run: Path) -> Record:
-    """One pass in the new run directory `run`, which borrows the frames of `base`. Raises RuntimeError."""
+    """One pass in the new run directory `run`, which borrows the frames of `base`. Raises RunError."""
     new_run(base, run)
     options = ["--overwrite", "--method", job.method]
     options += sensor_options(job.sensors)
@@ -112,19 +96,6 @@ def execute(job: Job, base: Path, run: Path) -> Record:
     if job.method == BASELINE and job.seed > 0:
         return found  # the same map as before: only its time is wanted
     return found | scores(evaluate(run))
-
-
-def map_costs(run: Path, wall_s: float) -> Record:
-    """Time and memory of the map of `run`, which took `wall_s` as a process."""
-    facts = map_facts(run)
-    return {"wall_s": wall_s, "stage_seconds": facts["seconds"], "peak_memory_mb": facts["peak_memory_mb"]}
-
-
-def evaluate(run: Path) -> Record:
-    """Mesh and score a finished map; what `RUN/metrics.json` then says. Raises RuntimeError."""
-    uncle("mesh", "--run", run, "--overwrite")
-    uncle("eval", "--run", run, "--json")
-    return json.loads((run / "metrics.json").read_text())
 
 
 def parse(arguments: list[str] | None = None) -> argparse.Namespace:
@@ -157,5 +128,5 @@ def main() -> int:
 if __name__ == "__main__":
     try:
         sys.exit(main())
-    except (RuntimeError, OSError) as error:
+    except (UncleError, OSError) as error:
         sys.exit(f"error: {error}")

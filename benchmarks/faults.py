@@ -11,9 +11,12 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import torch
-from common import Record, carry_out, cell, new_run, sensor_options, surface_scores, table, uncle
+from common import carry_out
 from torch import Tensor
 from uncle.datasets import open_dataset
+from uncle.recon.bench.process import Record, new_run, sensor_options, uncle
+from uncle.recon.bench.scores import surface_scores
+from uncle.recon.bench.tables import cell, markdown_table
 from uncle.recon.errors import UncleError
 from uncle.recon.frame import Frame, Recording
 from uncle.recon.preprocess import preprocess
@@ -79,7 +82,7 @@ def plan(dataset: str, sensors: str, methods: list[str], faults: list[str], faul
 
 
 def execute(job: Job, dataset: Path, out: Path) -> Record:
-    """Map and score one case. Raises RuntimeError."""
+    """Map and score one case. Raises RunError."""
     base, run = out / f"{job.fault}-{job.sensor or 'any'}-{job.start}", out / "work"
     recording = open_dataset(dataset)
     sensors = [*job.sensors.split("+"), *(["gt"] if "gt" in recording.sensors else [])]
@@ -106,7 +109,7 @@ def markdown(records: Iterable[Record]) -> str:
         case = [record["sensors"], record["method"], record["fault"], record["sensor"] or "-"]
         rows.append([*case, *(cell([record], *column[1:]) for column in COLUMNS), cost, "; ".join(record["said"])])
     header = ["sensors", "method", "fault", "of", *(column[0] for column in COLUMNS), "costs, F 5 cm", "reported"]
-    return "\n".join(table(header, rows))
+    return "\n".join(markdown_table(header, rows))
 
 
 def parse(arguments: list[str] | None = None) -> argparse.Namespace:
@@ -138,5 +141,5 @@ def main() -> int:
 if __name__ == "__main__":
     try:
         sys.exit(main())
-    except (UncleError, RuntimeError, OSError) as error:
+    except (UncleError, OSError) as error:
         sys.exit(f"error: {error}")

@@ -12,21 +12,11 @@ from functools import partial
 from pathlib import Path
 from typing import NamedTuple
 
-from common import (
-    UNCLE,
-    Record,
-    carry_out,
-    cell,
-    map_facts,
-    new_run,
-    process,
-    ratio,
-    sensor_options,
-    surface_scores,
-    table,
-    uncle,
-)  # fmt: skip
-from uncle.recon.errors import DataError
+from common import carry_out
+from uncle.recon.bench.process import LAUNCHER, Record, map_facts, new_run, run_process, sensor_options, uncle
+from uncle.recon.bench.scores import surface_scores
+from uncle.recon.bench.tables import cell, markdown_table, ratio
+from uncle.recon.errors import DataError, RunError, UncleError
 from uncle.recon.tracking_record import TrackingRecord
 from uncle.recon.trajectory import Trajectory
 from uncle.recon.trajectory_metrics import evaluate_trajectory
@@ -80,7 +70,7 @@ def plan(
 
 # --- one pass --------------------------------------------------------------------------------------------------------
 def execute(job: Job, base: Path, run: Path, with_mesh: bool) -> Record:
-    """One pass in the new run directory `run`, which borrows the frames of `base`. Raises RuntimeError."""
+    """One pass in the new run directory `run`, which borrows the frames of `base`. Raises RunError."""
     new_run(base, run)
     costs = _open3d(job, run, with_mesh) if job.system.startswith("open3d") else _uncle(job, run, with_mesh)
     frames = len(json.loads((run / "frames" / "frames.json").read_text()))
@@ -104,7 +94,7 @@ def _open3d(job: Job, run: Path, with_mesh: bool) -> Record:
     """The same of Open3D's SLAM; taking the mesh out of it is not part of the time, as with ours."""
     script = Path(__file__).with_name("open3d_slam.py")
     options = ["--method", job.system, "--voxel", job.voxel_m, *sensor_options(job.sensors)]
-    wall_s, _ = process(script.name, [sys.executable, script, run, *options, *(["--mesh"] if with_mesh else [])])
+    wall_s, _ = run_process(script.name, [sys.executable, script, run, *options, *(["--mesh"] if with_mesh else [])])
     facts = json.loads((run / "open3d.json").read_text())
     costs = {"wall_s": wall_s - facts["mesh_seconds"], "seconds": facts["seconds"]}
     costs |= {"peak_memory_mb": facts["peak_memory_mb"], "used_voxel_m": job.voxel_m}
@@ -137,7 +127,9 @@ def _surface(run: Path) -> Record:
     if not (run / "mesh.ply").exists():
         return {"f_score_5cm": 0.0, "f_score_2cm": 0.0}
     options = ["--cull", run, "--views", 0, "--json"]
-    return surface_scores(json.loads(process("uncle eval", [UNCLE, "eval", run / "mesh.ply", reference, *options])[1]))
+    return surface_scores(
+        json.loads(run_process("uncle eval", [*LAUNCHER, "eval", run / "mesh.ply", reference, *options])[1])
+    )
 
 
 # --- the table -------------------------------------------------------------------------------------------------------
@@ -183,7 +175,7 @@ def markdown(records: Iterable[Record]) -> str:
         ])  # fmt: skip
     header = ["data set", "frames", "sensors", "system", "voxel cm", "runs", *(column[0] for column in COLUMNS)]
     header += ["worst / median", "worst / median, aligned", "parts %", "speed / open3d", "loop speed / open3d"]
-    return "\n".join(table(header, rows))
+    return "\n".join(markdown_table(header, rows))
 
 
 def parse(arguments: list[str] | None = None) -> argparse.Namespace:
@@ -206,7 +198,7 @@ def main() -> int:
     base, part = place / "base", ["--frames", options.frames] if options.frames else []
     uncle("preprocess", options.dataset, "--run", base, *part)  # keeps frames that are up to date
     if options.mesh and json.loads((base / "manifest.json").read_text())["reference_mesh"] is None:
-        raise RuntimeError(f"{options.dataset} has no true mesh; leave --mesh out")
+        raise RunError(f"{options.dataset} has no true mesh; leave --mesh out")
     jobs = plan(name, options.frames, options.sensors, options.systems, options.open3d_voxel, options.seeds)
     once = partial(execute, base=base, run=place / "work", with_mesh=options.mesh)
     is_done = partial(_is_done, with_mesh=options.mesh)
@@ -224,5 +216,5 @@ def _is_done(job: Job, record: Record, with_mesh: bool) -> bool:
 if __name__ == "__main__":
     try:
         sys.exit(main())
-    except (RuntimeError, OSError) as error:
+    except (UncleError, OSError) as error:
         sys.exit(f"error: {error}")

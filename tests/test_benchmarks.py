@@ -10,6 +10,8 @@ import pytest
 import torch
 from uncle.datasets import senfunet
 from uncle.datasets.synth.write import make_dataset
+from uncle.recon.bench.scores import UNCERTAINTY
+from uncle.recon.errors import RunError
 from uncle.recon.frame import Frame
 from uncle.recon.tracking_record import TrackedFrame, TrackingRecord
 from uncle.recon.trajectory import Trajectory
@@ -36,43 +38,8 @@ def test_keys_tell_sensors_and_held_out_frames_apart():
     assert len({job.key for job in jobs}) == 3
 
 
-def test_scores_are_taken_by_threshold_and_sensor():
-    score = {"threshold_m": 0.05, "f_score": 0.9, "precision": 0.8, "recall": 0.7}
-    uncertainty = dict.fromkeys(chain.UNCERTAINTY, 0.5) | {"readings": 9}
-    depth = {"l1_m": 0.02, "median_m": 0.01, "completeness": 0.99, "sensor": "depth"}
-    mesh = {"scores": [score, {**score, "threshold_m": 0.02, "f_score": 0.6}], "accuracy_mean_m": 0.01}
-    found = chain.scores(
-        {
-            "surface": {"mesh": mesh},
-            "held_out": {"depth": depth},
-            "uncertainty": {"sl": uncertainty},
-        }
-    )  # fmt: skip
-    assert (found["f_score_5cm"], found["f_score_2cm"], found["recall_5cm"]) == (0.9, 0.6, 0.7)
-    assert (found["held_out_l1_m"], found["held_out_seen"]) == (0.02, 0.99)
-    assert found["uncertainty"] == {"sl": dict.fromkeys(chain.UNCERTAINTY, 0.5)}
-
-
-def test_scores_of_a_run_without_any_truth():
-    assert chain.scores({"surface": None, "held_out": {}, "uncertainty": {}}) == {"uncertainty": {}}
-
-
-def test_cell_is_the_median_of_those_that_were_scored():
-    records = [record(f=0.9), record(f=0.5), record(f=0.6), record(), record(f=None)]
-    assert common.cell(records, "f", 100, 1, True) == "60.0 [50.0, 90.0]"
-    assert common.cell(records, "f", 100, 1, False) == "60.0"
-    assert common.cell(records, "g", 100, 1, True) == "-"
-
-
-def test_ratio_divides_medians_of_the_same_session():
-    ours = [record(wall_s=s) for s in (30.0, 40.0, 90.0)] + [record(wall_s=1000.0, session="later")]
-    baseline = [record("tsdf", wall_s=s) for s in (10.0, 20.0, 99.0)] + [record("tsdf", wall_s=1.0, session="earlier")]
-    assert common.ratio(ours, baseline, "wall_s") == "2.00"
-    assert common.ratio(ours[3:], baseline, "wall_s") == "-"
-
-
 def test_markdown_has_a_row_per_method_and_leaves_empty_columns_out():
-    sensor = dict.fromkeys(chain.UNCERTAINTY, 0.25)
+    sensor = dict.fromkeys(UNCERTAINTY, 0.25)
     baseline = [record("tsdf", seed, wall_s=2.0, **({"f_score_5cm": 0.8} if seed == 0 else {})) for seed in range(3)]
     ours = [record(seed=seed, wall_s=5.0, f_score_5cm=0.9, uncertainty={"sl": sensor}) for seed in range(2)]
     scene, sensors = chain.markdown(baseline + ours).split("\n\n")
@@ -95,7 +62,7 @@ def test_what_is_done_is_kept_and_what_failed_is_tried_again(tmp_path):
     def execute(job):
         calls.append(job.seed)
         if len(calls) == 2:
-            raise RuntimeError("no surface")
+            raise RunError("no surface")
         return {"seed": job.seed}
 
     def is_done(job, record):

@@ -249,7 +249,7 @@ def test_a_map_that_was_broken_off_is_the_same_with_colours(box_room, walk, tmp_
 
 
 def test_a_view_weighs_as_much_as_the_frames_it_stands_for(box_room, walk):
-    """Fused alone: each sample holds COLOR_SHARE * frames_per_view times the weight of beta, and the surface lies at the
+    """Fused alone: each sample holds COLOR_SHARE * frames_per_view times the weight of beta, the surface lies at the
     readings."""
     config = make_config("uncle", ["fusion.voxel_size_m=0.05", "fusion.blur_voxels=1"], device="cpu")
     mapper = Mapper(box_room.camera, ("stereo",), config, torch.device("cpu"))

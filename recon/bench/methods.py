@@ -1,0 +1,33 @@
+"""Which methods there are, and which of them cannot do what."""
+
+from __future__ import annotations
+
+from ..config import PRESETS
+
+BASELINE = "tsdf"  # every time is also given as a multiple of its time
+UNWEIGHTED = "nice-slam"  # the paper's system with unit weights: what its uncertainty is tested against
+_ORDER = ("uncle", "uncle-paper", UNWEIGHTED, "nice-slam-pre", "vox-fusion", "senfunet", BASELINE)
+_GIVEN_ONLY = {"senfunet": "it fuses with given poses and has no tracker"}
+_SEEDLESS = frozenset({BASELINE})  # nothing is drawn with given poses: one run says all
+
+
+def known_methods() -> list[str]:
+    """Every preset, in the order of the tables."""
+    return sorted(PRESETS, key=lambda name: (_ORDER.index(name) if name in _ORDER else len(_ORDER), name))
+
+
+def why_not(method: str, setting: str) -> str | None:
+    """Why a table has no figures for `method` in this setting; None if it can do it."""
+    return _GIVEN_ONLY.get(method) if setting != "given" else None
+
+
+def runs_of(method: str, setting: str, seeds: int) -> int:
+    """How many seeds are worth running."""
+    return 1 if method in _SEEDLESS and setting == "given" else seeds
+
+
+def tested_pairs(methods: list[str]) -> list[tuple[str, str]]:
+    """(method, against): the paper's pair first, then every other method against it and ours against all."""
+    pairs = [(method, UNWEIGHTED) for method in ("uncle-paper", *methods) if method != UNWEIGHTED]
+    pairs += [("uncle", method) for method in methods if method != "uncle"]
+    return [pair for pair in dict.fromkeys(pairs) if set(pair) <= set(methods)]

@@ -1,0 +1,63 @@
+"""Variants of the uncertainty for ablations: a name and the settings that make it."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from itertools import product
+
+from ..errors import ConfigError
+
+UNWEIGHTED = "unweighted"
+Settings = tuple[str, ...]  # key=value, as `uncle map --set` takes them
+_TWO, _SEVEN = ("depth", "incidence"), ("depth", "incidence", "slope_x", "slope_y")
+_PATCH = {kind: tuple(f"{kind}_{window}" for window in (3, 7)) for kind in ("spread", "offset", "holes")}
+
+
+def _features(*names: str) -> str:
+    return f"uncertainty.features={json.dumps(names)}"
+
+
+def _paper_variants() -> dict[str, Settings]:
+    """The paper's eight: patch of 1 or 5 pixels, 2 or 7 features, small or large beta_min, as far as settings go.
+
+    A patch is what summarises one here. The normal of the seven follows from incidence and both slopes.
+    """
+    patch = tuple(name for names in _PATCH.values() for name in names)
+    seen = {"1K2F": _TWO, "1K7F": _SEVEN, "5K2F": (*_TWO, *patch), "5K7F": (*_SEVEN, *patch, "bend")}
+    small_large = {"S": "uncertainty.beta_min_m=1e-3", "L": "uncertainty.beta_min_m=1e-1"}
+    return {f"{a}{b}": (_features(*seen[a]), small_large[b]) for a, b in product(seen, small_large)}
+
+
+GROUPS: dict[str, dict[str, Settings]] = {
+    "paper": _paper_variants(),
+    "own": {
+        "uncle": (),
+        "two inputs": (_features(*_TWO),),
+        "hidden 8": ("uncertainty.hidden=8",),
+        "hidden 64": ("uncertainty.hidden=64",),
+        "sweeps 0": ("fusion.sweeps=0",),
+        "sweeps 1": ("fusion.sweeps=1",),
+        "sweeps 2": ("fusion.sweeps=2",),
+        "quarter of the steps": ("uncertainty.steps_per_sweep=100",),
+        "no blur": ("fusion.blur_voxels=0",),
+        "beta_min 1 cm": ("uncertainty.beta_min_m=1e-2",),
+        "no refinement": ("field.iterations=0",),
+    },
+}
+_BASELINE: Settings = ("uncertainty.enabled=false",)
+
+
+def choose_variants(names: Sequence[str], added: Sequence[Sequence[str]] = ()) -> dict[str, Settings]:
+    """Variants of the default method by name, the unweighted one first: groups or single ones, and `added` as
+    (name, setting, ...).
+
+    Raises ConfigError for a name that there is not.
+    """
+    known = {name: settings for group in GROUPS.values() for name, settings in group.items()}
+    chosen: dict[str, Settings] = {UNWEIGHTED: _BASELINE}
+    for name in names:
+        if name not in GROUPS and name not in known and name != UNWEIGHTED:
+            raise ConfigError(f"no variant or group is called {name!r}; there are {', '.join((*GROUPS, *known))}")
+        chosen |= GROUPS.get(name) or ({name: known[name]} if name in known else {})
+    return chosen | {name: tuple(settings) for name, *settings in added}
