@@ -26,6 +26,7 @@ COMMANDS: dict[str, str] = {
     "snapshot": "Draw pictures of a mesh or of a run.",
     "report": "Write one HTML page about a run.",
     "pretrain": "Train what some methods bring with them, on scenes made here.",
+    "bench": "Run several methods on one protocol and compare them.",
 }
 
 
@@ -90,3 +91,7 @@ def main(ctx: click.Context, verbose: bool, quiet: bool) -> None:
     """
     ctx.obj = {"quiet": quiet}
     logging.basicConfig(level=logging.DEBUG if verbose else logging.ERROR if quiet else logging.WARNING)
+
+
+if __name__ == "__main__":
+    main(prog_name="uncle")

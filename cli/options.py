@@ -36,42 +36,50 @@ class SensorsCommand(click.Command):
     """A command whose `--sensors` takes several values after one flag: `--sensors sl psmnet`.
 
     Click options cannot take a variable number of values, so `--sensors a b` is rewritten into
-    `--sensors a --sensors b` before parsing.
+    `--sensors a --sensors b` before parsing. A command may name further such flags.
     """
+
+    several: tuple[str, ...] = ("--sensors",)
 
     def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
         has_positionals = any(isinstance(parameter, click.Argument) for parameter in self.params)
-        return super().parse_args(ctx, expand_sensors(args, spare_paths=has_positionals))
+        return super().parse_args(ctx, expand_values(args, self.several, spare_paths=has_positionals))
 
 
 def expand_sensors(args: list[str], spare_paths: bool = False) -> list[str]:
-    """Repeat `--sensors` before each of its values; everything else passes through.
+    """`expand_values` for `--sensors` alone."""
+    return expand_values(args, ("--sensors",), spare_paths)
+
+
+def expand_values(args: list[str], flags: tuple[str, ...], spare_paths: bool = False) -> list[str]:
+    """Repeat each of `flags` before each of its values; everything else passes through.
 
     The values end at the next token that starts with a dash. With `spare_paths`, they end at a path too, so that
-    `--sensors sl psmnet DATASET` works: a token with a path separator, or of an existing file or folder unless it is
-    the usual name of a sensor. Raises UsageError if there is no value.
+    `--sensors sl psmnet DATASET` works: a token with a path separator or a colon, or of an existing file or folder
+    unless it is the usual name of a sensor. Raises UsageError if there is no value.
     """
     expanded: list[str] = []
-    taking = False
+    taking = ""
     for position, token in enumerate(args):
-        if taking and spare_paths and _is_path(token) and args[position - 1] != "--sensors":
-            taking = False
-        if token == "--sensors":
+        if taking and spare_paths and _is_path(token) and args[position - 1] != taking:
+            taking = ""
+        if token in flags:
             if position + 1 == len(args) or args[position + 1].startswith("-"):
-                raise click.UsageError("--sensors needs the name of at least one sensor")
-            taking = True
+                needed = "the name of at least one sensor" if token == "--sensors" else "at least one value"
+                raise click.UsageError(f"{token} needs {needed}")
+            taking = token
         elif token.startswith("-"):
-            taking = False
+            taking = ""
             expanded.append(token)
             if token == "--":
                 return expanded + args[position + 1 :]
         else:
-            expanded += ["--sensors", token] if taking else [token]
+            expanded += [taking, token] if taking else [token]
     return expanded
 
 
 def _is_path(token: str) -> bool:
-    return "/" in token or os.sep in token or (token not in KNOWN_SENSORS and os.path.exists(token))
+    return any(mark in token for mark in ("/", ":", os.sep)) or (token not in KNOWN_SENSORS and os.path.exists(token))
 
 
 class FrameRange(click.ParamType):
