@@ -1,0 +1,29 @@
+"""What the `uncle pretrain` commands have in common: recordings to learn from, and where training runs."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from ..datasets.recording import FileRecording
+    from ..recon.recording import RunFrames
+
+
+def open_sources(paths: Sequence[Path]) -> Iterator[tuple[str, FileRecording | RunFrames]]:
+    """Name and frames of each data set or run directory. Raises DataError, RunError."""
+    from ..datasets import open_dataset
+    from ..recon.recording import RunFrames
+    from ..recon.run import RunDirectory
+
+    for path in paths:
+        is_run = (path / "manifest.json").is_file()
+        yield str(path), RunFrames(RunDirectory(path)) if is_run else open_dataset(path)
+
+
+def training_device(name: str) -> str:
+    """ "auto" becomes "cuda" where there is one."""
+    import torch
+
+    return name if name != "auto" else "cuda" if torch.cuda.is_available() else "cpu"
