@@ -13,8 +13,9 @@ from .options import SensorsCommand, device_option, overwrite_option, run_option
 @click.command("map", cls=SensorsCommand)
 @run_option
 @sensors_option("Sensors to use. Default: all but the ground truth.")
-@click.option("--method", type=click.Choice(["uncle", "tsdf"]), default="uncle", show_default=True,
-              help="uncle: neural field with learned uncertainty; tsdf: plain Open3D fusion.")  # fmt: skip
+@click.option("--method", type=click.Choice(["uncle", "senfunet", "tsdf"]), default="uncle", show_default=True,
+              help="uncle: neural field with learned uncertainty; senfunet: two sensors fused by trained networks; "
+                   "tsdf: plain Open3D fusion.")  # fmt: skip
 @click.option("--track", is_flag=True,
               help="Estimate the camera of every frame; without it the poses are those of the data set.")  # fmt: skip
 @click.option("--color/--no-color", default=True, show_default=True,

@@ -9,6 +9,8 @@ from .main import LazyGroup
 # training -> one-line help; its command is in pretrain_NAME.py
 PRETRAIN: dict[str, str] = {
     "decoders": "Train the occupancy decoders of `uncle-paper` and `nice-slam` on made rooms.",
+    "confidence": "Train the confidence network of `nice-slam-pre` for one sensor from true depth.",
+    "senfunet": "Train the networks of `senfunet` for two sensors from true depth and a true mesh.",
 }
 
 
@@ -16,5 +18,5 @@ PRETRAIN: dict[str, str] = {
 def command() -> None:
     """Train what some methods bring with them: networks that are not learned from the recording itself.
 
-    The package ships the decoders, trained with the command below; docs/pretraining.md has the recipe and its figures.
+    The package ships such networks, trained with the commands below; docs/pretraining.md has recipes and figures.
     """

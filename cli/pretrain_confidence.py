@@ -9,7 +9,7 @@ import click
 
 from .console import listener
 from .options import device_option, seed_option
-from .training_data import open_sources, training_device
+from .training_data import open_sources
 
 
 @click.command("confidence")
@@ -50,6 +50,7 @@ def command(
     uncle pretrain confidence rooms/a rooms/b rooms/c --sensor sgm --out sgm.pt
     """
     from ..recon.confidence.models import save_network
+    from ..recon.device import choose_device
     from ..recon.events import Note
     from ..recon.pretrain.confidence import ConfidenceTraining, train_confidence
     from ..recon.pretrain.depth_pairs import DepthPairs
@@ -68,7 +69,7 @@ def command(
         return
     limit = math.inf if max_minutes is None else 60 * max_minutes
     settings = ConfidenceTraining(steps, batch, crop, accumulate, learning_rate, penalty, seed, limit)
-    trained = train_confidence(pairs, settings, training_device(device), say)
+    trained = train_confidence(pairs, settings, str(choose_device(device)), say)
     save_network(out, pairs.sensor, trained.network, trained.recipe(pairs, settings))
     losses = f"loss of frames held back {trained.validation[0]:.4f} at first, {min(trained.validation):.4f} at best"
     say(Note(f"{out}: {pairs.sensor}, {trained.steps} steps, {losses}"))

@@ -9,7 +9,7 @@ import click
 
 from .console import listener
 from .options import SensorsCommand, device_option, seed_option, sensors_option
-from .training_data import open_sources, training_device
+from .training_data import open_sources
 
 
 @click.command("senfunet", cls=SensorsCommand)
@@ -50,6 +50,7 @@ def command(
     \b
     uncle pretrain senfunet rooms/a rooms/b rooms/c --sensors sl sgm --out sl-sgm.pt
     """
+    from ..recon.device import choose_device
     from ..recon.events import Note
     from ..recon.pretrain.senfunet import SenfunetTraining, train_senfunet
     from ..recon.pretrain.senfunet_scenes import collect_scene, load_scenes, save_scenes
@@ -73,7 +74,7 @@ def command(
         return
     limit = math.inf if max_minutes is None else 60 * max_minutes
     settings = SenfunetTraining(frames, accumulate, learning_rate, bricks, seed, limit)
-    trained = train_senfunet(scenes, (sensors[0], sensors[1]), settings, training_device(device), say)
+    trained = train_senfunet(scenes, (sensors[0], sensors[1]), settings, str(choose_device(device)), say)
     trained.model.save(out, trained.recipe(scenes, settings))
     means = ", ".join(
         f"{name} {trained.errors[f'error_{name}_m'] * 100:.2f} cm" for name in (*sensors, "mean", "learned")

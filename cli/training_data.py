@@ -1,4 +1,4 @@
-"""What the `uncle pretrain` commands have in common: recordings to learn from, and where training runs."""
+"""What the `uncle pretrain` commands have in common: recordings to learn from."""
 
 from __future__ import annotations
 
@@ -20,10 +20,3 @@ def open_sources(paths: Sequence[Path]) -> Iterator[tuple[str, FileRecording | R
     for path in paths:
         is_run = (path / "manifest.json").is_file()
         yield str(path), RunFrames(RunDirectory(path)) if is_run else open_dataset(path)
-
-
-def training_device(name: str) -> str:
-    """ "auto" becomes "cuda" where there is one."""
-    import torch
-
-    return name if name != "auto" else "cuda" if torch.cuda.is_available() else "cpu"

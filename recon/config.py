@@ -9,6 +9,8 @@ from typing import Annotated, Any, Literal
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from .errors import ConfigError
+from .senfunet.config import PRESET as SENFUNET_PRESET
+from .senfunet.config import SenfunetConfig
 
 
 class _Strict(BaseModel):
@@ -130,7 +132,7 @@ class HealthConfig(_Strict):
 class MapConfig(_Strict):
     """Everything that decides the result of `uncle map`."""
 
-    method: Literal["uncle", "tsdf"] = Field("uncle", description="The preset; set by `--method`.")
+    method: Literal["uncle", "senfunet", "tsdf"] = Field("uncle", description="The preset; set by `--method`.")
     sensors: tuple[str, ...] = Field(
         (), description="Sensors to use, empty: all but the ground truth; set by `--sensors`."
     )
@@ -148,10 +150,12 @@ class MapConfig(_Strict):
     keyframes: KeyframeConfig = KeyframeConfig()
     field: FieldConfig = FieldConfig()
     color: ColorConfig = ColorConfig()
+    senfunet: SenfunetConfig = SenfunetConfig()
 
 
 PRESETS: dict[str, dict[str, Any]] = {
     "uncle": {},
+    "senfunet": SENFUNET_PRESET,
     "tsdf": {
         "fusion": {"sweeps": 0},
         "uncertainty": {"enabled": False},

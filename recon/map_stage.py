@@ -17,7 +17,7 @@ from .device import choose_device
 from .errors import ConfigError, RunError
 from .events import Note, OnEvent, Warn, ignore
 from .field import NeuralField
-from .methods import Job, make_map
+from .methods import Job, make_map, trained_parts
 from .noise_prior import NoisePrior
 from .recording import RunFrames
 from .run import Manifest, RunDirectory, config_hash
@@ -51,7 +51,11 @@ def map_run(
     """
     manifest = run.manifest
     config = config.model_copy(update={"sensors": choose_sensors(manifest, config.sensors)})
-    made_with = [run.require_stage("preprocess").config_hash, *([prior.digest] if prior else [])]
+    made_with = [
+        run.require_stage("preprocess").config_hash,
+        *([prior.digest] if prior else []),
+        *trained_parts(config),
+    ]
     digest = config_hash(config.model_dump(mode="json"), *made_with)
     checkpoint = Checkpoint(run.checkpoint_path, digest)
     continues = resume and not overwrite and checkpoint.load() is not None  # a broken --overwrite goes on, too

@@ -22,6 +22,8 @@ from .online import OnlineSystem, map_online
 from .pipeline import choose_device, choose_tracker, reconstruct
 from .recording import RunFrames
 from .run import RunDirectory
+from .senfunet.fuse import fuse_senfunet, require_pair
+from .senfunet.models import SenfunetModel
 from .tracking import Tracker, require_found
 from .tracking_record import TrackingRecord
 from .tsdf import fuse_open3d
@@ -54,12 +56,38 @@ class Made:
 # method -> its system; imported when it is wanted
 SYSTEMS: dict[str, Callable[[RunFrames, MapConfig, torch.device], OnlineSystem]] = {}
 
+Poses = dict[int, np.ndarray]
+Fuse = Callable[[RunFrames, list[int], MapConfig, OnEvent, Poses | None], tuple[NeuralField, Poses]]
+
+
+def _fuse_senfunet(frames: RunFrames, indices: list[int], config: MapConfig, on_event: OnEvent, poses: Poses | None):
+    model = _senfunet_model(config)
+    return fuse_senfunet(frames, indices, config, model, choose_device(config.device), on_event, poses)
+
+
+def _senfunet_model(config: MapConfig) -> SenfunetModel | None:
+    pair = require_pair(config.sensors)
+    return SenfunetModel.load(pair, config.senfunet.file or None) if pair else None
+
+
+# method -> one fusion of all frames, their poses being known
+PLAIN: dict[str, Fuse] = {"tsdf": fuse_open3d, "senfunet": _fuse_senfunet}
+
+
+def trained_parts(config: MapConfig) -> list[str]:
+    """Digests of the networks in files that decide what the method makes. Raises ConfigError if there are none."""
+    if config.method == "senfunet":
+        model = _senfunet_model(config)
+        return [model.digest] if model else []
+    return []
+
 
 def make_map(job: Job) -> Made:
     """Make the map of `job` by the method that its settings name. Raises DataError if there is no surface."""
     if job.config.method in SYSTEMS:
         return _optimised(job, SYSTEMS[job.config.method])
-    return _fused_plainly(job) if job.config.method == "tsdf" else _fused(job)
+    plain = PLAIN.get(job.config.method)
+    return _fused_plainly(job, plain) if plain else _fused(job)
 
 
 def _fused(job: Job) -> Made:
@@ -78,12 +106,12 @@ def _fused(job: Job) -> Made:
     return Made(made.field, made.poses, made.tracking, facts)
 
 
-def _fused_plainly(job: Job) -> Made:
+def _fused_plainly(job: Job, fuse: Fuse) -> Made:
     began = time.time()
     tracker = choose_tracker(job.frames, job.config, None)
     poses = _track_alone(job, tracker) if job.config.tracking.enabled else None
     tracked = time.time()
-    field, poses = fuse_open3d(job.frames, job.indices, job.config, job.on_event, poses)
+    field, poses = fuse(job.frames, job.indices, job.config, job.on_event, poses)
     _require_surface(field)
     MapOutput(job.run).drop_earlier_map()
     seconds = {"tracking": tracked - began} if job.config.tracking.enabled else {}

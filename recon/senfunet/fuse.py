@@ -8,7 +8,7 @@ from torch import Tensor
 
 from ..config import MapConfig
 from ..errors import ConfigError
-from ..events import OnEvent, Progress, ignore, track_progress
+from ..events import OnEvent, Progress, Warn, ignore, track_progress
 from ..field import NeuralField
 from ..frame import Frame
 from ..grid import SparseGrid
@@ -36,6 +36,8 @@ def fuse_senfunet(
     The poses are those `tracked`, by frame index, else those of the recording. `model` is of the two sensors; None
     where there is only one, which is then fused alone.
     """
+    if model is not None:
+        _compare_voxels(model.voxel_size_m, config.fusion.voxel_size_m, on_event)
     volume = SenfunetVolume(frames, config, model, device)
     poses = {}
     for done, frame in enumerate(frames.stream(indices, lambda frame: frame)):
@@ -46,6 +48,12 @@ def fuse_senfunet(
             volume.add(frame, torch.from_numpy(np.asarray(T_world_camera)).float().to(device))
     on_event(Progress("fusing", len(indices), len(indices)))
     return volume.field(config, on_event), poses
+
+
+def _compare_voxels(trained_m: float, wanted_m: float, on_event: OnEvent) -> None:
+    if not 0.5 < wanted_m / trained_m < 2:
+        text = f"the networks of senfunet were trained on voxels of {trained_m * 100:g} cm, not {wanted_m * 100:g} cm"
+        on_event(Warn(f"{text}: `uncle pretrain senfunet --voxel {wanted_m:g}` makes better ones"))
 
 
 def require_pair(sensors: tuple[str, ...]) -> tuple[str, str] | None:
@@ -97,7 +105,10 @@ class SenfunetVolume:
             second = self.maps[self.sensors[1]]
             alpha = self._alpha(on_event)
             sdf = fused_distance(alpha, sdf, second.tsdf[:rows], weight, second.weight[:rows])
-            kept = believed(alpha, weight, second.weight[:rows])
+            if config.senfunet.outlier_filter:
+                kept = believed(alpha, weight, second.weight[:rows])
+            else:
+                kept = weight + second.weight[:rows] > 0
             weight = weight + second.weight[:rows]
         known = kept & (weight >= config.fusion.min_readings)
         count = self.colors[:rows, 3:]

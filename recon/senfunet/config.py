@@ -1,0 +1,26 @@
+"""Settings of the baseline `senfunet`; voxel size, truncation and range are those of `fusion`."""
+
+from __future__ import annotations
+
+from pydantic import BaseModel, ConfigDict, Field
+
+
+class SenfunetConfig(BaseModel):
+    """The learned fusion of two sensors."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+
+    file: str = Field(
+        "", description="Networks of the two sensors, a file of `uncle pretrain senfunet`; empty: those of the package."
+    )
+    outlier_filter: bool = Field(
+        True, description="Leave out what one sensor alone reads where its own weight is less than half."
+    )
+
+
+PRESET = {
+    "fusion": {"sweeps": 0, "truncation_voxels": 5.0, "min_readings": 1.0},
+    "uncertainty": {"enabled": False},
+    "color": {"enabled": False},
+    "field": {"iterations": 0},
+}
