@@ -43,7 +43,8 @@ class NovelViewDepth:
     """Depth L1 against the reference.
 
     l1_all_m       mean |difference| over all compared pixels; where the mesh is missing its depth counts as 0
-    l1_rendered_m  mean |difference| over the compared pixels where the mesh is, None if it is nowhere
+    l1_rendered_m  mean |difference| over the compared pixels where the mesh is, None if it is nowhere; with the paper's
+                   protocol the mean over the views of the mean of each, as the published script has it
     completeness   share of the compared pixels where the mesh is
     """
 
@@ -83,18 +84,18 @@ def novel_view_depth(
     surface, target = Surface(mesh), Surface(reference)
     was_seen = None if seen_reference is None else near_to(seen_reference)
     poses = sample_views(reference, target, settings, was_seen)
-    sums = np.zeros(4)  # |difference| over all pixels, over rendered pixels, pixels, rendered pixels
+    sums = []  # of each view: |difference| over all pixels, over rendered pixels, pixels, rendered pixels
     for T_world_camera in poses:
         wanted = _within_range(target.depth(settings.camera, T_world_camera))
         found = _within_range(surface.depth(settings.camera, T_world_camera))
         compared = _compared(wanted, settings, T_world_camera, was_seen)
         difference = np.abs(found - wanted)[compared].astype(np.float64)
         rendered = found[compared] > 0
-        sums += difference.sum(), difference[rendered].sum(), len(difference), rendered.sum()
-    total, total_rendered, pixels, pixels_rendered = sums
+        sums.append((difference.sum(), difference[rendered].sum(), len(difference), rendered.sum()))
+    total, _, pixels, pixels_rendered = np.sum(sums, axis=0)
     return NovelViewDepth(
         float(total / pixels),
-        float(total_rendered / pixels_rendered) if pixels_rendered else None,
+        _l1_where_rendered(np.array(sums), settings),
         float(pixels_rendered / pixels),
         len(poses),
         settings.camera.width,
@@ -104,13 +105,21 @@ def novel_view_depth(
     )
 
 
+def _l1_where_rendered(sums: np.ndarray, settings: ViewSettings) -> float | None:
+    """(V, 4) sums of each view -> metres; None without a rendered pixel. Of the paper's views each weighs the same."""
+    _, totals, _, pixels = sums[sums[:, 3] > 0].T
+    if len(pixels) == 0:
+        return None
+    return float(np.mean(totals / pixels) if settings.protocol == "paper" else totals.sum() / pixels.sum())
+
+
 def sample_views(
     reference: Mesh, surface: Surface, settings: ViewSettings, was_seen: PointFilter | None = None
 ) -> list[np.ndarray]:
     """Poses (4, 4) T_world_camera drawn uniformly in the shrunk box of the reference, looking anywhere.
 
-    A view is drawn again if it comes close to a surface or looks out of the scene; the paper's, if it shows anything
-    unseen. Fewer than asked for come back if most draws fail. Raises DataError if all do.
+    A view is drawn again if it comes close to a surface or looks out of the scene; the paper's only if it shows
+    anything unseen, or nothing at all. Fewer than asked for come back if most draws fail. Raises DataError if all do.
     """
     rng = np.random.default_rng(settings.seed)
     center, axes, half = centre_box(reference, PAPER_LIFT_M if settings.protocol == "paper" else 0.0)
@@ -121,11 +130,12 @@ def sample_views(
             break
         position = center + axes @ (rng.uniform(-1.0, 1.0, 3) * half)
         T_world_camera = look_at(position, rng.uniform(-10_000.0, 10_000.0, 3))
-        if surface.distance(position[None])[0] < CLEARANCE_M:
+        is_paper = settings.protocol == "paper"
+        if not is_paper and surface.distance(position[None])[0] < CLEARANCE_M:
             continue
         depth = surface.cast(position, rays @ T_world_camera[:3, :3].T)
-        share = _seen_pixels(depth, rays, T_world_camera, was_seen).mean()
-        if share >= (1.0 if settings.protocol == "paper" and was_seen is not None else MIN_SHARE):
+        seen = _seen_pixels(depth, rays, T_world_camera, was_seen)
+        if (seen.any() and np.array_equal(seen, depth > 0)) if is_paper else seen.mean() >= MIN_SHARE:
             poses.append(T_world_camera)
     if not poses:
         raise DataError("no view from inside the reference mesh shows enough of it; depth from new views needs a room")

@@ -59,7 +59,7 @@ def test_what_is_wrong_is_said_in_one_line(override, said):
 
 
 def test_unknown_method_names_the_known():
-    with pytest.raises(ConfigError, match="uncle, .*tsdf"):
+    with pytest.raises(ConfigError, match=r"uncle, .*tsdf"):
         make_config("magic", [])
 
 

@@ -94,6 +94,38 @@ def test_paper_protocol_compares_every_pixel_of_views_without_unseen_parts(box_r
         assert _wall_share(box_room, pose) < 0.01
 
 
+def test_of_the_papers_views_each_weighs_the_same(box_room):
+    """A view without the missing wall has no error; one that shows little of the rest must count as much."""
+    mesh, reference = box_room.mesh(0.01), box_room.mesh()
+    half = Mesh(mesh.vertices, mesh.faces[:2])  # one wall
+    settings = ViewSettings(views=4, protocol="paper")
+    metrics = novel_view_depth(half, reference, settings)
+    target, found = Surface(reference), Surface(half)
+    means, all_pixels = [], []
+    for pose in sample_views(reference, target, settings):
+        difference = np.abs(found.depth(PAPER_CAMERA, pose) - target.depth(PAPER_CAMERA, pose))
+        rendered = found.depth(PAPER_CAMERA, pose) > 0
+        means += [difference[rendered].mean(dtype=np.float64)] if rendered.any() else []
+        all_pixels.append(difference.mean(dtype=np.float64))
+    assert len(means) > 0
+    assert metrics.l1_rendered_m == pytest.approx(np.mean(means), rel=1e-5)
+    assert metrics.l1_all_m == pytest.approx(np.mean(all_pixels), rel=1e-5)
+
+
+def test_the_papers_views_may_look_out_of_a_window_and_from_anywhere_in_the_box(box_room):
+    mesh = box_room.mesh()
+    window = Mesh(mesh.vertices, mesh.faces[:-2])
+    standard, paper = (
+        sample_views(window, Surface(window), ViewSettings(views=60, protocol=name)) for name in ("standard", "paper")
+    )
+    holes = [
+        max((Surface(window).depth(PAPER_CAMERA, p)[::10, ::10] == 0).mean() for p in part)
+        for part in (standard, paper)
+    ]
+    assert holes[0] < 0.25
+    assert holes[1] > 0.4
+
+
 def _wall_share(box_room, pose) -> float:
     """Share of the image that shows the wall at x = 4."""
     depth = Surface(box_room.mesh()).depth(PAPER_CAMERA, pose)
