@@ -29,7 +29,7 @@ class _PaperCommand(SensorsCommand):
 @click.option("--seeds", type=click.IntRange(1), default=3, show_default=True, metavar="N",
               help="Number of seeds, from 0.")  # fmt: skip
 @click.option("--set", "overrides", multiple=True, metavar="KEY=VALUE",
-              help="Change a setting of every method, as in `uncle map`.")  # fmt: skip
+              help="Change a setting of every method, as in `uncle map`; METHOD:KEY=VALUE of one.")  # fmt: skip
 @click.option("--frames", default="", metavar="START:STOP:STEP", help="Frames of every data set; all if not given.")
 @click.option("--protocol", type=click.Choice(["standard", "paper"]), default="standard", show_default=True,
               help="Protocol of `uncle eval`.")  # fmt: skip
@@ -63,10 +63,10 @@ def command(
     from ..recon.config import make_config
 
     chosen = methods or tuple(known_methods())
-    for method in chosen:
-        make_config(method, list(overrides))  # an unknown method or setting is told at once
     variants = tuple(choose_variants(ablation).items()) if ablation else ()
     choice = Choice(chosen, settings, sensors, seeds, overrides, protocol, device, variants)
+    for method in chosen:
+        make_config(method, list(choice.overrides_of(method)))  # an unknown method or setting is told at once
     bench = Bench(out, jobs, keep_runs, frames)
     tables, failed = run_paper(bench, datasets, choice, listener(ctx))
     click.echo("\n\n".join(table.markdown() for table in tables if table.title != DETAILS))

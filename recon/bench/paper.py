@@ -126,7 +126,7 @@ def execute(job: Job, bench: Bench, choice: Choice, scenes: dict[str, Scene]) ->
 def map_options(job: Job, choice: Choice) -> list[str]:
     """Options of `uncle map` of one job, but for its run."""
     hold_out = ["--hold-out", str(job.hold_out)] if job.hold_out else []
-    settings = [word for text in (*choice.overrides, *job.settings) for word in ("--set", text)]
+    settings = [word for text in (*choice.overrides_of(job.method), *job.settings) for word in ("--set", text)]
     return [
         "--overwrite", "--method", job.method, *SETTINGS[job.setting][1], *process.sensor_options(job.sensors),
         "--seed", str(job.seed), "--device", choice.device, *hold_out, *settings,
@@ -175,8 +175,13 @@ def write_tables(
     left_out: dict[str, str],
 ) -> list[Table]:  # fmt: skip
     """Write all tables of what was made as `choice` says, also by earlier calls. Raises RunError."""
-    digests = {scene.name: choice.digest(scene) for scene in scenes}
-    mine = [record for record in records.values() if digests.get(record["dataset"]) == record["made_with"]]
+    there = {scene.name: scene for scene in scenes}
+    mine = [
+        record
+        for record in records.values()
+        if record["dataset"] in there
+        and record["made_with"] == choice.digest(there[record["dataset"]], record["method"])
+    ]
     tables = paper_tables(scenes, choice, mine, failures)
     if left_out:
         tables.append(Table("Left out", ["data set", "reason"], [[*item] for item in left_out.items()], 2))
@@ -196,7 +201,7 @@ TITLE = "Methods on one protocol"
 def describe_call(scenes: Sequence[Scene], choice: Choice) -> str:
     """One paragraph on what the tables have in common."""
     frames = ", ".join(f"{scene.name} ({scene.frames} frames)" for scene in scenes)
-    settings = f" Settings of every method: {', '.join(choice.overrides)}." if choice.overrides else ""
+    settings = f" Settings: {', '.join(choice.overrides)}." if choice.overrides else ""
     return (
         f"{frames}. Scored by uncle eval, protocol {choice.protocol}: only what the cameras saw, the same for all "
         f"methods. Medians over the seeds, [minimum, maximum].{settings}"

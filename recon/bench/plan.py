@@ -69,14 +69,25 @@ class Choice:
     settings: tuple[str, ...] = tuple(SETTINGS)
     sensors: tuple[str, ...] = ()
     seeds: int = 1
-    overrides: Settings = ()  # of every method
+    overrides: Settings = ()  # of every method, or of one: "METHOD:KEY=VALUE"
     protocol: str = "standard"
     device: str = "auto"
     variants: tuple[tuple[str, Settings], ...] = ()
 
-    def digest(self, scene: Scene) -> str:
+    def overrides_of(self, method: str) -> Settings:
+        """Those of every method and its own, as `uncle map --set` takes them."""
+        found = []
+        for override in self.overrides:
+            name, _, setting = override.partition(":")
+            if name == method:
+                found.append(setting)
+            elif name not in methods.known_methods():
+                found.append(override)  # a plain one; a wrong name is then told by whoever reads the settings
+        return tuple(found)
+
+    def digest(self, scene: Scene, method: str) -> str:
         """Tells results apart that were not made alike."""
-        made_with = [self.overrides, self.protocol, self.device, scene.source]
+        made_with = [self.overrides_of(method), self.protocol, self.device, scene.source]
         return hashlib.sha256(json.dumps(made_with).encode()).hexdigest()[:8]
 
 
@@ -132,7 +143,7 @@ def _turn(scene: Scene, choice: Choice, setting: str, sensors: str, seed: int) -
     ]
     entries += [("uncle", name, settings) for name, settings in choice.variants]
     return [
-        Job(scene.name, sensors, setting, method, variant, seed, settings, hold_out, choice.digest(scene))
+        Job(scene.name, sensors, setting, method, variant, seed, settings, hold_out, choice.digest(scene, method))
         for method, variant, settings in entries
     ]
 

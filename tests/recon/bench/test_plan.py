@@ -89,6 +89,17 @@ def test_results_of_other_settings_or_frames_have_other_keys():
     assert keys[0] & more  # more seeds or fewer methods share what there is
 
 
+def test_settings_of_one_method_leave_the_others_alone():
+    choice = replace(BOTH, overrides=("field.rays=64", "uncle:field.levels=[2,4]", "tsdf:fusion.min_readings=1"))
+    assert choice.overrides_of("uncle") == ("field.rays=64", "field.levels=[2,4]")
+    assert choice.overrides_of("tsdf") == ("field.rays=64", "fusion.min_readings=1")
+    assert replace(BOTH, overrides=("field.name=a:b",)).overrides_of("uncle") == ("field.name=a:b",)
+    assert replace(BOTH, overrides=("magic:a=1",)).overrides_of("uncle") == ("magic:a=1",)  # told as unknown later
+    fewer = replace(choice, overrides=choice.overrides[:2])
+    assert choice.digest(ROOM, "uncle") == fewer.digest(ROOM, "uncle")
+    assert choice.digest(ROOM, "tsdf") != fewer.digest(ROOM, "tsdf")
+
+
 def test_a_variant_that_changed_is_not_done():
     job = Job("room", "sl", "given", "uncle", "mine", 0, ("field.rays=64",), 0, "abc")
     assert is_done(job, {"settings": ["field.rays=64"]})
