@@ -13,8 +13,10 @@ from .options import SensorsCommand, device_option, overwrite_option, run_option
 @click.command("map", cls=SensorsCommand)
 @run_option
 @sensors_option("Sensors to use. Default: all but the ground truth.")
-@click.option("--method", type=click.Choice(["uncle", "senfunet", "tsdf"]), default="uncle", show_default=True,
-              help="uncle: neural field with learned uncertainty; senfunet: two sensors fused by trained networks; "
+@click.option("--method", type=click.Choice(["uncle", "vox-fusion", "senfunet", "tsdf"]), default="uncle",
+              show_default=True,
+              help="uncle: neural field with learned uncertainty; vox-fusion: distances on sparse voxels, tracked and "
+                   "mapped by rendering; senfunet: two sensors fused by trained networks; "
                    "tsdf: plain Open3D fusion.")  # fmt: skip
 @click.option("--track", is_flag=True,
               help="Estimate the camera of every frame; without it the poses are those of the data set.")  # fmt: skip

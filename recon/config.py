@@ -11,6 +11,8 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from .errors import ConfigError
 from .senfunet.config import PRESET as SENFUNET_PRESET
 from .senfunet.config import SenfunetConfig
+from .vox.config import PRESET as VOX_PRESET
+from .vox.config import VoxConfig
 
 
 class _Strict(BaseModel):
@@ -132,7 +134,9 @@ class HealthConfig(_Strict):
 class MapConfig(_Strict):
     """Everything that decides the result of `uncle map`."""
 
-    method: Literal["uncle", "senfunet", "tsdf"] = Field("uncle", description="The preset; set by `--method`.")
+    method: Literal["uncle", "vox-fusion", "senfunet", "tsdf"] = Field(
+        "uncle", description="The preset; set by `--method`."
+    )
     sensors: tuple[str, ...] = Field(
         (), description="Sensors to use, empty: all but the ground truth; set by `--sensors`."
     )
@@ -150,11 +154,13 @@ class MapConfig(_Strict):
     keyframes: KeyframeConfig = KeyframeConfig()
     field: FieldConfig = FieldConfig()
     color: ColorConfig = ColorConfig()
+    vox: VoxConfig = VoxConfig()
     senfunet: SenfunetConfig = SenfunetConfig()
 
 
 PRESETS: dict[str, dict[str, Any]] = {
     "uncle": {},
+    "vox-fusion": VOX_PRESET,
     "senfunet": SENFUNET_PRESET,
     "tsdf": {
         "fusion": {"sweeps": 0},

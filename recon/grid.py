@@ -78,6 +78,10 @@ class SparseGrid:
         x, y, z = (samples & 7).unbind(-1)
         return torch.where(ids >= 0, ids * ROWS + (x * BLOCK + y) * BLOCK + z, -1)
 
+    def lookup_volume(self) -> tuple[Tensor, Tensor]:
+        """Ids (X, Y, Z) int32 of the blocks around the origin (3,) int64, -1 where there is none."""
+        return self._volume, self._origin
+
     def lookup(self) -> tuple[np.ndarray, np.ndarray]:
         """What compiled loops find rows by, on the CPU: ids (X, Y, Z) of the blocks around the origin (3,)."""
         return self._volume.numpy(), self._origin.numpy()

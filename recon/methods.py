@@ -53,8 +53,14 @@ class Made:
     facts: dict[str, Any]
 
 
+def _vox_fusion(frames: RunFrames, config: MapConfig, device: torch.device) -> OnlineSystem:
+    from .vox.system import VoxSystem
+
+    return VoxSystem(frames, config, device)
+
+
 # method -> its system; imported when it is wanted
-SYSTEMS: dict[str, Callable[[RunFrames, MapConfig, torch.device], OnlineSystem]] = {}
+SYSTEMS: dict[str, Callable[[RunFrames, MapConfig, torch.device], OnlineSystem]] = {"vox-fusion": _vox_fusion}
 
 Poses = dict[int, np.ndarray]
 Fuse = Callable[[RunFrames, list[int], MapConfig, OnEvent, Poses | None], tuple[NeuralField, Poses]]

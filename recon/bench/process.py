@@ -104,8 +104,7 @@ def map_facts(run: Path) -> Record:
 def map_costs(run: Path, wall_s: float) -> Record:
     """Time and memory of the map of `run`, which took `wall_s` as a process."""
     facts = map_facts(run)
-    gpu = {"gpu_memory_mb": facts["gpu_memory_mb"]} if "gpu_memory_mb" in facts else {}
-    return {"wall_s": wall_s, "stage_seconds": facts["seconds"], "peak_memory_mb": facts["peak_memory_mb"]} | gpu
+    return {"wall_s": wall_s, "stage_seconds": facts["seconds"], "peak_memory_mb": facts["peak_memory_mb"]}
 
 
 def evaluate(run: Path, *options: object, threads: int | None = None, log: Path | None = None) -> Record:

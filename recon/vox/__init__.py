@@ -1,0 +1,1 @@
+"""Vox-Fusion: an implicit distance field on sparse voxels, tracked and mapped by rendering."""

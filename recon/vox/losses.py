@@ -1,0 +1,86 @@
+"""The loss of mapping and tracking; METHOD, Baselines, Vox-Fusion."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from .config import VoxConfig
+from .rendering import Rendered
+from .sampling import Samples
+
+
+@dataclass(frozen=True)
+class Targets:
+    """What was seen on N rays: colors (N, 3) in 0..1, depths (N, K) metres by sensor, valid (N, K) bool: the reading
+    takes part. A sensor without a reading has no part in the ray; every reading of every sensor weighs the same."""
+
+    colors: Tensor
+    depths: Tensor
+    valid: Tensor
+
+    def of_rays(self, first: int, last: int) -> Targets:
+        """Those of rays first:last."""
+        return Targets(self.colors[first:last], self.depths[first:last], self.valid[first:last])
+
+
+@dataclass(frozen=True)
+class Counts:
+    """How many rays, readings, and pairs of sample and reading, in free space and near the reading, a batch has.
+
+    They are all that joins the rays of a batch, so its loss can be summed over parts.
+    """
+
+    rays: Tensor
+    readings: Tensor
+    free: Tensor
+    near: Tensor
+
+    @staticmethod
+    def of(samples: Samples, targets: Targets, truncation_m: float) -> Counts:
+        zones = [_zones(samples, targets, sensor, truncation_m) for sensor in range(targets.depths.shape[1])]
+        free, near = (sum(zone[part].sum() for zone in zones) for part in (0, 1))
+        return Counts(targets.valid.any(1).sum(), targets.valid.sum(), free, near)
+
+
+def vox_loss(rendered: Rendered, samples: Samples, targets: Targets, counts: Counts, config: VoxConfig) -> Tensor:
+    """The part that these rays have in the loss of the batch that `counts` describes.
+
+    Means of |I - I-hat| over rays and channels, of |D - D-hat| over readings, and over all pairs of sample and reading
+    of (s - 1)^2 in free space, farther than t before the reading, and of (z + t s - D)^2 within t of it, in square
+    metres; each of these two times the other's share of the pairs, so that the many free ones do not drown the few.
+    """
+    t, seen = config.truncation_m, targets.valid.any(1)
+    color = ((rendered.color - targets.colors).abs().sum(1) * seen).sum() / (3 * counts.rays).clamp(min=1)
+    depth = rendered.depth.new_zeros(())
+    free, near = rendered.depth.new_zeros(()), rendered.depth.new_zeros(())
+    for sensor in range(targets.depths.shape[1]):
+        reading = targets.depths[:, sensor]
+        depth = depth + ((rendered.depth - reading).abs() * targets.valid[:, sensor]).sum()
+        in_free, in_near = _zones(samples, targets, sensor, t)
+        free = free + ((rendered.sdf - 1).square() * in_free).sum()
+        near = near + ((samples.z + t * rendered.sdf - reading[:, None]).square() * in_near).sum()
+    pairs = (counts.free + counts.near).clamp(min=1).float()
+    free = free / pairs * (counts.near / pairs)
+    near = near / pairs * (counts.free / pairs)
+    depth = depth / counts.readings.clamp(min=1)
+    return config.color_weight * color + config.depth_weight * depth + config.free_weight * free + (
+        config.sdf_weight * near
+    )  # fmt: skip
+
+
+def without_outliers(targets: Targets, depth: Tensor, medians: float) -> Targets:
+    """Without readings (N, K) that differ from the rendered depth (N,) by `medians` times the median or more."""
+    error = (targets.depths - depth[:, None]).abs()
+    middle = torch.where(targets.valid, error, torch.nan).nanmedian()
+    return Targets(targets.colors, targets.depths, targets.valid & (error < medians * middle))
+
+
+def _zones(samples: Samples, targets: Targets, sensor: int, truncation_m: float) -> tuple[Tensor, Tensor]:
+    """(N, S) bool each: samples in the free space before the sensor's reading, and samples near it."""
+    reading = targets.depths[:, sensor, None]
+    counted = samples.there & targets.valid[:, sensor, None]
+    free = samples.z < reading - truncation_m
+    return counted & free, counted & ~free & (samples.z <= reading + truncation_m)

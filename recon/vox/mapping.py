@@ -1,0 +1,100 @@
+"""Mapping: voxels around the readings of a frame, then steps of Adam on rays of a window of frames."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from .intersect import intersect
+from .losses import Counts, Targets, vox_loss
+from .model import VoxModel
+from .rendering import render
+from .sampling import Samples, place_samples
+from .views import VoxView
+
+_RAYS_AT_A_TIME = {"cpu": 256}  # their samples fit the cache; a GPU takes all
+
+
+def sample_rays(model: VoxModel, origins: Tensor, directions: Tensor, depths: Tensor, offset: Tensor) -> Samples:
+    """Samples on rays (N, 3), (N, 3) with readings (N, K), metres; offset (N,) as in `place_samples`."""
+    config = model.config
+    farthest = depths.amax(1)
+    far = torch.where(farthest > 0, farthest + config.behind_m, config.max_depth_m)
+    hits = intersect(model.voxels.voxels, origins, directions, far, config.max_voxels)
+    return place_samples(hits, config.step_voxels * config.voxel_size_m, offset)
+
+
+class VoxMapper:
+    """The model, and the keyframes that keep it from forgetting."""
+
+    def __init__(self, model: VoxModel, directions: Tensor, generator: torch.Generator) -> None:
+        self.model, self.config, self.directions, self.generator = model, model.config, directions, generator
+        self.keyframes: list[VoxView] = []
+        self.losses: list[float] = []  # mean of the steps of each mapped frame
+
+    def map(self, view: VoxView) -> None:
+        """Make a posed view part of the map."""
+        first = not self.keyframes
+        self.model.add_points(view.points(self.directions))
+        if len(view.usable):
+            self._optimise([*self._window(), view], self.config.first_iterations if first else self.config.iterations)
+        if first or view.index - self.keyframes[-1].index > self.config.keyframe_every:
+            self.keyframes.append(view)
+
+    def _window(self) -> list[VoxView]:
+        """Random keyframes, at most `window`."""
+        order = torch.randperm(len(self.keyframes), generator=self.generator, device=self.generator.device)
+        chosen = (self.keyframes[i] for i in order.tolist()[: self.config.window])
+        return [view for view in chosen if len(view.usable)]
+
+    def _optimise(self, views: list[VoxView], steps: int) -> None:
+        draws = zip(*(view.draws(self.config.rays, steps, self.generator) for view in views), strict=True)
+        total = torch.zeros((), device=self.model.device)
+        for pixels in draws:
+            self.model.optimizer.zero_grad(set_to_none=True)
+            total += self._accumulate(views, pixels)
+            self.model.optimizer.step()
+        self.losses.append(float(total) / steps)
+
+    def _accumulate(self, views: list[VoxView], pixels: tuple[Tensor, ...]) -> Tensor:
+        """Gradients of the loss on `pixels` (N,) of each view; returns the loss."""
+        origins, directions, targets = self._rays(views, pixels)
+        offset = torch.rand(len(origins), generator=self.generator, device=self.generator.device)
+        samples = sample_rays(self.model, origins, directions, targets.depths, offset)
+        targets = hit_alone(targets, samples)
+        counts = Counts.of(samples, targets, self.config.truncation_m)
+        total = torch.zeros((), device=origins.device)
+        size = _RAYS_AT_A_TIME.get(origins.device.type, len(origins))
+        for first in range(0, len(origins), size):
+            last = first + size
+            own = samples if size >= len(origins) else samples.of_rays(first, last)
+            ray, z, _ = own.packed()
+            points = origins[first:last][ray] + directions[first:last][ray] * z[:, None]
+            loss = vox_loss(render(self.model, points, own), own, targets.of_rays(first, last), counts, self.config)
+            if loss.requires_grad:
+                loss.backward()
+            total += loss.detach()
+        return total
+
+    def _rays(self, views: list[VoxView], pixels: tuple[Tensor, ...]) -> tuple[Tensor, Tensor, Targets]:
+        poses = [view.T_world_camera for view in views]
+        origins = torch.cat([T[:3, 3].expand(len(own), 3) for T, own in zip(poses, pixels, strict=True)])
+        directions = torch.cat([self.directions[own] @ T[:3, :3].T for T, own in zip(poses, pixels, strict=True)])
+        seen = [view.targets(own) for view, own in zip(views, pixels, strict=True)]
+        parts = ([getattr(target, name) for target in seen] for name in ("colors", "depths", "valid"))
+        return origins, directions, Targets(*(torch.cat(part) for part in parts))
+
+    def state_dict(self) -> dict[str, Any]:
+        return {"keyframes": [vars(view) for view in self.keyframes], "losses": list(self.losses)}
+
+    def load_state_dict(self, state: dict[str, Any]) -> None:
+        device = self.model.device
+        self.keyframes = [VoxView(**view).to(device) for view in state["keyframes"]]
+        self.losses = list(state["losses"])
+
+
+def hit_alone(targets: Targets, samples: Samples) -> Targets:
+    """Rays that meet no voxel say nothing."""
+    return Targets(targets.colors, targets.depths, targets.valid & samples.there.any(1, keepdim=True))
