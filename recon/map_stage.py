@@ -81,6 +81,7 @@ def map_run(
         "device": str(choose_device(config.device)),
         "frames": len(made.poses),
         "peak_memory_mb": peak_memory_mb(),
+        **gpu_memory(),
     }
     run.finish_stage(STAGE, digest, started, facts)
     checkpoint.remove()
@@ -116,6 +117,12 @@ def split_frames(frames: RunFrames, config: MapConfig, on_event: OnEvent = ignor
     every = config.hold_out
     held_out = [index for index in posed if every and index % every == every - 1]
     return sorted(set(posed) - set(held_out)), held_out
+
+
+def gpu_memory() -> dict[str, float]:
+    """The most that PyTorch held on the CUDA device so far, as a fact, MB; nothing where it held none."""
+    peak = torch.cuda.max_memory_allocated() if torch.cuda.is_initialized() else 0
+    return {"gpu_memory_mb": round(peak / 1e6, 1)} if peak else {}
 
 
 def peak_memory_mb() -> float:

@@ -104,7 +104,8 @@ def map_facts(run: Path) -> Record:
 def map_costs(run: Path, wall_s: float) -> Record:
     """Time and memory of the map of `run`, which took `wall_s` as a process."""
     facts = map_facts(run)
-    return {"wall_s": wall_s, "stage_seconds": facts["seconds"], "peak_memory_mb": facts["peak_memory_mb"]}
+    gpu = {"gpu_memory_mb": facts["gpu_memory_mb"]} if "gpu_memory_mb" in facts else {}
+    return {"wall_s": wall_s, "stage_seconds": facts["seconds"], "peak_memory_mb": facts["peak_memory_mb"]} | gpu
 
 
 def evaluate(run: Path, *options: object, threads: int | None = None, log: Path | None = None) -> Record:

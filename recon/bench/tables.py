@@ -31,7 +31,7 @@ class Table:
         kept = filled_columns(self.header, self.rows)
         header, rows = [self.header[c] for c in kept], [[row[c] for c in kept] for row in self.rows]
         numbers = [place for place, column in enumerate(kept) if column >= self.names]
-        text = report_html.table(header, rows, numbers) if rows else ""
+        text = f'<div style="overflow-x: auto">{report_html.table(header, rows, numbers)}</div>' if rows else ""
         return text + "".join(report_html.explain(note) for note in self.notes)
 
 

@@ -23,8 +23,7 @@ class CubeBatch:
         """pool: places known of each cube; life: steps from fresh features to the end of the fine stage."""
         self.generator, self.pool, self.life = generator, pool, life
         self.grids = FeatureGrids(count, generator)
-        self.factor = torch.ones(count)  # of the features' rates; on the CPU like their ages
-        self._draw_factor = torch.Generator().manual_seed(generator.initial_seed())
+        self.factor = torch.ones(count, device=generator.device)  # of the features' rates
         self.places = torch.zeros(count, pool, 3, device=generator.device)
         self.solid = torch.zeros(count, pool, device=generator.device)
 
@@ -35,7 +34,7 @@ class CubeBatch:
         places, distance = sample_crops(crops, self.pool, EXTENT_M, self.generator)
         self.places[part], self.solid[part] = places, (distance < 0).float()
         self.grids.renew(part)
-        self.factor[part] = FIRST_FRAME_FACTOR ** torch.rand(size, generator=self._draw_factor)
+        self.factor[part] = FIRST_FRAME_FACTOR ** torch.rand(size, generator=self.generator, device=distance.device)
 
     def draw(self, points: int) -> tuple[Tensor, Tensor]:
         """Some of the known places of every cube, (S, points, 3), and whether they are solid, (S, points)."""

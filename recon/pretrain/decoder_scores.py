@@ -12,26 +12,29 @@ UNSEEN_SEED = 777_000_000  # far from the seeds of trainings
 
 
 def decoder_scores(
-    decoders: OccupancyDecoders, device: torch.device, *, cubes: int = 24, steps: int = 96, seed: int = UNSEEN_SEED
+    decoders: OccupancyDecoders,
+    device: torch.device,
+    *,
+    cubes: int = 24,
+    steps: int = 96,
+    pool: int = 16384,
+    seed: int = UNSEEN_SEED,
 ) -> dict[str, float]:
     """Fit features to cubes of unseen rooms with the decoders frozen; how well unseen places are told solid or free.
 
-    steps: of the features, middle stage first. Of the places half are near surfaces. Returns the intersection over
-    union of solids and the share of right answers, each of middle and of middle + fine, and the mean logit and the
-    largest occupancy that features near zero have.
+    steps: of the features, middle stage first. pool: known places of each cube, half of them near surfaces; a quarter is
+    held back. Returns the intersection over union of solids and the share of right answers, each of middle and of middle
+    + fine, and the mean logit and the largest occupancy that features near zero have.
     """
     decoders = decoders.frozen(device)
     generator = torch.Generator(device).manual_seed(seed)
-    batch = CubeBatch(cubes, 16384, steps, generator)
+    batch = CubeBatch(cubes, pool, steps, generator)
     batch.renew(slice(0, cubes))
     with torch.no_grad():
-        points, _ = batch.draw(4096)
+        points, _ = batch.draw(pool // 4)
         fresh = cube_logits(decoders, points, batch.features(points), generator)[1]
-    held_out = (
-        batch.places[:, ::4].clone(),
-        batch.solid[:, ::4].clone(),
-    )  # a quarter of the places is never learned from
-    kept = [index for index in range(16384) if index % 4]
+    held_out = batch.places[:, ::4], batch.solid[:, ::4]
+    kept = [index for index in range(pool) if index % 4]
     batch.places, batch.solid, batch.pool = batch.places[:, kept], batch.solid[:, kept], len(kept)
     for _ in range(steps):
         fit_step(decoders, batch, 1024)

@@ -35,6 +35,7 @@ class DecoderTraining:
     free_logit: float = -0.3  # of features near zero: mildly free
     free_points: int = 2048  # places with features near zero in a step
     free_weight: float = 1.0
+    fine_gain: float = 10.0  # of the weights that read fine features, at the start: these move 20 times slower
     embedding_decay: float = 0.1  # decay of the weights that read the embedding, per unit of learning rate and step
 
 
@@ -49,6 +50,9 @@ class DecoderTrainer:
         for decoder in (self.decoders.middle, self.decoders.fine):
             _hush_embedding(decoder)
             self.parameters += decoder.to(device).parameters()
+        with torch.no_grad():
+            for layer in self.decoders.fine.injection:
+                layer.weight[:, :CHANNELS] *= settings.fine_gain
         self.optimizer = torch.optim.AdamW(_groups(self.decoders, settings), lr=settings.learning_rate)
         self.begin_cubes()
 

@@ -27,7 +27,7 @@ class FeatureGrids:
 
     def __init__(self, count: int, generator: torch.Generator) -> None:
         self.generator = generator
-        self.age = torch.zeros(count, dtype=torch.long)  # on the CPU: the schedule follows from it without a transfer
+        self.age = torch.zeros(count, device=generator.device)
         self.values = {name: self._fresh(name, count) for name in CELLS}
         self._moments = {name: (torch.zeros_like(grid), torch.zeros_like(grid)) for name, grid in self.values.items()}
 
@@ -45,14 +45,12 @@ class FeatureGrids:
         self.age[part] = 0
 
     def step(self, gradients: dict[str, Tensor], rates: dict[str, Tensor]) -> None:
-        """One step of Adam (0.9, 0.999) with a rate for every cube, (S,) on the CPU; rate 0 leaves its grid alone."""
+        """One step of Adam (0.9, 0.999) with a rate for every cube, (S,); rate 0 leaves its grid alone."""
         self.age += 1
-        age = self.age.float()
         for name, gradient in gradients.items():
             first, second = self._moments[name]
             first.lerp_(gradient, 0.1)
             second.mul_(0.999).addcmul_(gradient, gradient, value=1e-3)
-            size = (rates[name] / (1 - 0.9**age)).to(gradient.device, non_blocking=True)
-            root = (1 / (1 - 0.999**age)).sqrt().to(gradient.device, non_blocking=True)
-            size, root = (value[:, None, None, None, None] for value in (size, root))
+            size = (rates[name] / (1 - 0.9**self.age))[:, None, None, None, None]
+            root = (1 / (1 - 0.999**self.age)).sqrt()[:, None, None, None, None]
             self.values[name] -= size * first / (second.sqrt() * root + 1e-8)

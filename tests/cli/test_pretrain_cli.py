@@ -15,7 +15,7 @@ TINY = ["--steps", "4", "--cubes", "12", "--device", "cpu", "--seed", "3"]
 def _quick_scores(monkeypatch):
     """Scores of two cubes instead of 24; they are tested by themselves."""
     full = decoder_run.decoder_scores
-    monkeypatch.setattr(decoder_run, "decoder_scores", lambda *given: full(*given, cubes=2, steps=2))
+    monkeypatch.setattr(decoder_run, "decoder_scores", lambda *given: full(*given, cubes=2, steps=2, pool=512))
 
 
 def test_a_tiny_training_writes_decoders_with_their_recipe(tmp_path):

@@ -288,3 +288,11 @@ def test_killed_run_resumes_to_the_same_bytes(make_mappable_run, kill):
     assert run.checkpoint_path.exists()
     assert child(run, 0, "--resume") == 0
     assert results(run) == expected
+
+
+def test_memory_of_the_gpu_is_a_fact_where_one_was_used(monkeypatch):
+    monkeypatch.setattr(map_stage.torch.cuda, "is_initialized", lambda: False)
+    assert map_stage.gpu_memory() == {}
+    monkeypatch.setattr(map_stage.torch.cuda, "is_initialized", lambda: True)
+    monkeypatch.setattr(map_stage.torch.cuda, "max_memory_allocated", lambda: 1_234_560_000)
+    assert map_stage.gpu_memory() == {"gpu_memory_mb": 1234.6}

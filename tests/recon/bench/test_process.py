@@ -1,5 +1,6 @@
 """The program as a process of its own."""
 
+import json
 import os
 import sys
 import threading
@@ -80,3 +81,11 @@ def test_a_new_run_borrows_the_frames_and_forgets_the_rest(tmp_path):
     assert (run / "frames").resolve() == (base / "frames").resolve()
     process.new_run(base, run)
     assert (base / "frames").is_dir()  # removing the borrower leaves what it borrowed
+
+
+@pytest.mark.parametrize("gpu", [{}, {"gpu_memory_mb": 900.0}])
+def test_costs_are_those_of_the_manifest_and_the_process(tmp_path, gpu):
+    facts = {"seconds": {"fusion": 2.0}, "peak_memory_mb": 512.0, "sensors": ["sl"]} | gpu
+    (tmp_path / "manifest.json").write_text(json.dumps({"stages": {"map": {"facts": facts}}}))
+    expected = {"wall_s": 9.0, "stage_seconds": {"fusion": 2.0}, "peak_memory_mb": 512.0} | gpu
+    assert process.map_costs(tmp_path, 9.0) == expected
