@@ -8,7 +8,7 @@ BASELINE = "tsdf"  # every time is also given as a multiple of its time
 UNWEIGHTED = "nice-slam"  # the paper's system with unit weights: what its uncertainty is tested against
 _ORDER = ("uncle", "uncle-paper", UNWEIGHTED, "nice-slam-pre", "vox-fusion", "senfunet", BASELINE)
 _GIVEN_ONLY = {"senfunet": "it fuses with given poses and has no tracker"}
-_SEEDLESS = frozenset({BASELINE})  # nothing is drawn with given poses: one run says all
+_SEEDLESS = frozenset({BASELINE, "senfunet"})  # nothing is drawn with given poses: one run says all
 
 
 def known_methods() -> list[str]:
