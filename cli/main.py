@@ -5,7 +5,6 @@ from __future__ import annotations
 import importlib
 import logging
 import os
-from importlib.metadata import version
 from typing import Any
 
 import click
@@ -76,7 +75,7 @@ class LazyGroup(click.Group):
 @click.group(
     cls=LazyGroup, lazy=COMMANDS, context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 110}
 )  # fmt: skip
-@click.version_option(version("uncle"), prog_name="uncle")
+@click.version_option(package_name="uncle", prog_name="uncle")
 @click.option("-v", "--verbose", is_flag=True, help="Say more on stderr.")
 @click.option("-q", "--quiet", is_flag=True, help="Say only errors.")
 @click.pass_context

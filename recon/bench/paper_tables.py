@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import statistics
 from collections.abc import Iterable, Sequence
 from typing import Any
 
@@ -80,12 +81,15 @@ def _scene_table(
                 continue
             marks = [_mark(notes, f"{method}: {remark}") for remark in remarks]
             runs = max(map(len, found.values()), default=0)
-            figures = [_figure(found.get(metric.key, []), metric, dataset) for metric in _SHOWN]
+            best = _best(samples, group)
+            figures = [_figure(found.get(m.key, []), m, dataset, m.key in best) for m in _SHOWN]
             reference = published(dataset, formats.get(dataset, ""), setting, sensors, method)
             rows.append([dataset, sensors, " ".join([method, *marks]), str(runs), *figures, reference])
     header = ["data set", "sensors", "method", "runs", *(metric.heading for metric in _SHOWN), "paper"]
     if any(row[-1] != NOTHING for row in rows):
         notes.append(MEANING)
+    if any(cell.endswith(" *") for row in rows for cell in row):
+        notes.append("The mark * means that no other method is better in this figure on these sensors.")
     title = f"{_COUNTS.get(count, f'{count} sensors')}, {SETTINGS[setting][0]}"
     return Table(title, header, rows, 3, notes)
 
@@ -126,11 +130,25 @@ def _mark(notes: list[str], text: str) -> str:
     return f"[{known.index(text) + 1}]"
 
 
-def _figure(values: list[float], metric: Metric, dataset: str) -> str:
+def _figure(values: list[float], metric: Metric, dataset: str, is_best: bool) -> str:
     """Median over the seeds with its range; over data sets the mean of their means."""
+    mark = " *" if is_best else ""
     if dataset == ALL_SCENES and values:
-        return f"mean {number(sum(values) / len(values), metric.factor, metric.digits)}"
-    return spread(values, metric.factor, metric.digits, metric.key in _RANGED)
+        return f"mean {number(statistics.fmean(values), metric.factor, metric.digits)}{mark}"
+    return spread(values, metric.factor, metric.digits, metric.key in _RANGED) + mark
+
+
+def _best(samples: dict[tuple[str, ...], dict[str, list[float]]], group: tuple[str, ...]) -> set[str]:
+    """Figures in which no method is better than that of `group` on the same sensors, where there are several."""
+    rivals = [found for name, found in samples.items() if name[:-1] == group[:-1]]
+    middle = statistics.fmean if group[0] == ALL_SCENES else statistics.median
+    keys = set()
+    for metric in _SHOWN:
+        values = [metric.better * middle(found[metric.key]) for found in rivals if metric.key in found]
+        own = samples.get(group, {}).get(metric.key)
+        if metric.better and own and len(values) > 1 and metric.better * middle(own) >= max(values):
+            keys.add(metric.key)
+    return keys
 
 
 # --- tests -----------------------------------------------------------------------------------------------------------

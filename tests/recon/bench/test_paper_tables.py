@@ -37,7 +37,7 @@ def test_a_row_has_the_median_its_range_and_what_the_paper_has():
     paper, tsdf = rows_of(tables, "Single sensor, given poses")
     assert (paper["method"], paper["runs"], paper["F 5 cm %"]) == ("uncle-paper", "3", "60.00 [50.00, 90.00]")
     assert paper["paper"] == "Replica: F 5 cm 92.28, depth L1 1.85"
-    assert (tsdf["F 5 cm %"], tsdf["paper"], tsdf["ATE cm"]) == ("70.00", "-", "-")
+    assert (tsdf["F 5 cm %"], tsdf["paper"], tsdf["ATE cm"]) == ("70.00 *", "-", "-")
     notes = next(table.notes for table in tables if table.title == "Single sensor, given poses")
     assert any("from another scene" in note for note in notes)
 
@@ -60,6 +60,14 @@ def test_the_same_sensors_of_several_data_sets_are_summed_up():
     rows = rows_of(paper_tables([ROOM, HALL], Choice(ALL), records, {}), "Single sensor, given poses")
     assert [row["data set"] for row in rows] == ["room", "hall", "all scenes"]
     assert rows[2]["F 5 cm %"] == "mean 70.00"
+
+
+def test_the_best_of_the_same_sensors_is_marked_by_its_median_and_less_is_better_in_errors():
+    records = [record("uncle-paper", seed, f, depth_l1_m=0.02) for seed, f in enumerate((0.9, 0.5, 0.6))]
+    records += [record("tsdf", f=0.6, depth_l1_m=0.03), record("tsdf", f=0.1, sensors="psmnet")]
+    rows = rows_of(paper_tables([ROOM], Choice(ALL), records, {}), "Single sensor, given poses")
+    assert [row["F 5 cm %"][-1] for row in rows] == ["*", "*", "0"]  # a tie; nobody else has psmnet
+    assert [row["depth L1 cm"][-1] for row in rows] == ["*", "0", "-"]
 
 
 def test_tests_between_methods_are_welchs():
