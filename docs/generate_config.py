@@ -59,7 +59,7 @@ def _value(value: Any) -> str:
 
 def _allowed(info: FieldInfo) -> str:
     if get_origin(info.annotation) is Literal:
-        return ", ".join(get_args(info.annotation))
+        return ", ".join(map(str, get_args(info.annotation)))
     if info.annotation is bool:
         return "true, false"
     limits = {name: getattr(bound, name) for bound in info.metadata for name in BOUNDS if hasattr(bound, name)}

@@ -6,20 +6,19 @@ import difflib
 import tomllib
 from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, Field, ValidationError
 
 from .errors import ConfigError
+from .nice.config import PRESETS as NICE_PRESETS
+from .nice.config import NiceConfig, NiceMappingConfig, NiceTrackingConfig
 from .senfunet.config import PRESET as SENFUNET_PRESET
 from .senfunet.config import SenfunetConfig
+from .strict import Strict
 from .vox.config import PRESET as VOX_PRESET
 from .vox.config import VoxConfig
 
 
-class _Strict(BaseModel):
-    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
-
-
-class FusionConfig(_Strict):
+class FusionConfig(Strict):
     """Closed-form fusion of depth images."""
 
     voxel_size_m: float = Field(0.02, gt=0.001, le=0.5, description="Distance between the samples of the map, metres.")
@@ -36,7 +35,7 @@ class FusionConfig(_Strict):
     )
 
 
-class UncertaintyConfig(_Strict):
+class UncertaintyConfig(Strict):
     """The network h_w of each sensor: from its image to the scale beta of the error of each reading."""
 
     enabled: bool = Field(True, description="Learn how noisy each sensor is; false: every reading weighs the same.")
@@ -55,7 +54,7 @@ class UncertaintyConfig(_Strict):
     batch: int = Field(4096, ge=16, description="Pixels in each step.")
 
 
-class KeyframeConfig(_Strict):
+class KeyframeConfig(Strict):
     """Which frames lend their pixels to the learning."""
 
     max_overlap: float = Field(
@@ -65,7 +64,7 @@ class KeyframeConfig(_Strict):
     max_rays: int = Field(400_000, ge=1000, description="Pixels kept in all; beyond it random ones make place.")
 
 
-class FieldConfig(_Strict):
+class FieldConfig(Strict):
     """The neural field and its refinement by rendering."""
 
     iterations: int = Field(
@@ -86,7 +85,7 @@ class FieldConfig(_Strict):
     prior_weight: float = Field(1.0, ge=0, description="Weight of the pull back to the fused distances.")
 
 
-class ColorConfig(_Strict):
+class ColorConfig(Strict):
     """Colour as one more witness of where the surface is: depth by matching views."""
 
     enabled: bool = Field(
@@ -99,7 +98,7 @@ class ColorConfig(_Strict):
     turn_rad: float = Field(0.07, gt=0, description="or turned by this angle, radians.")
 
 
-class TrackingConfig(_Strict):
+class TrackingConfig(Strict):
     """Finding the camera of every frame."""
 
     enabled: bool = Field(
@@ -118,7 +117,7 @@ class TrackingConfig(_Strict):
     keyframe_shift: float = Field(0.05, gt=0, description="or moved by more than this share of the depth it sees.")
 
 
-class HealthConfig(_Strict):
+class HealthConfig(Strict):
     """Noticing sensors that drop out, freeze or go wrong in the middle of a recording."""
 
     enabled: bool = Field(True, description="Leave out what a sensor reads while it is at fault; false: believe it.")
@@ -131,10 +130,10 @@ class HealthConfig(_Strict):
     max_scatter: float = Field(0.05, gt=0, description="So is this median deviation from it, as a share of depth.")
 
 
-class MapConfig(_Strict):
+class MapConfig(Strict):
     """Everything that decides the result of `uncle map`."""
 
-    method: Literal["uncle", "vox-fusion", "senfunet", "tsdf"] = Field(
+    method: Literal["uncle", "uncle-paper", "nice-slam", "vox-fusion", "senfunet", "tsdf"] = Field(
         "uncle", description="The preset; set by `--method`."
     )
     sensors: tuple[str, ...] = Field(
@@ -156,10 +155,14 @@ class MapConfig(_Strict):
     color: ColorConfig = ColorConfig()
     vox: VoxConfig = VoxConfig()
     senfunet: SenfunetConfig = SenfunetConfig()
+    nice: NiceConfig = NiceConfig()
+    nice_mapping: NiceMappingConfig = NiceMappingConfig()
+    nice_tracking: NiceTrackingConfig = NiceTrackingConfig()
 
 
 PRESETS: dict[str, dict[str, Any]] = {
     "uncle": {},
+    **NICE_PRESETS,
     "vox-fusion": VOX_PRESET,
     "senfunet": SENFUNET_PRESET,
     "tsdf": {

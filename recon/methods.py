@@ -17,6 +17,7 @@ from .events import OnEvent, track_progress
 from .field import NeuralField
 from .frame import Frame
 from .map_output import MapOutput
+from .nice.scene import choose_decoders
 from .noise_prior import NoisePrior, save_noise_models
 from .online import OnlineSystem, map_online
 from .pipeline import choose_device, choose_tracker, reconstruct
@@ -59,8 +60,18 @@ def _vox_fusion(frames: RunFrames, config: MapConfig, device: torch.device) -> O
     return VoxSystem(frames, config, device)
 
 
+def _nice(frames: RunFrames, config: MapConfig, device: torch.device) -> OnlineSystem:
+    from .nice.system import NiceSystem
+
+    return NiceSystem(frames, config, device)
+
+
 # method -> its system; imported when it is wanted
-SYSTEMS: dict[str, Callable[[RunFrames, MapConfig, torch.device], OnlineSystem]] = {"vox-fusion": _vox_fusion}
+SYSTEMS: dict[str, Callable[[RunFrames, MapConfig, torch.device], OnlineSystem]] = {
+    "uncle-paper": _nice,
+    "nice-slam": _nice,
+    "vox-fusion": _vox_fusion,
+}
 
 Poses = dict[int, np.ndarray]
 Fuse = Callable[[RunFrames, list[int], MapConfig, OnEvent, Poses | None], tuple[NeuralField, Poses]]
@@ -85,6 +96,8 @@ def trained_parts(config: MapConfig) -> list[str]:
     if config.method == "senfunet":
         model = _senfunet_model(config)
         return [model.digest] if model else []
+    if SYSTEMS.get(config.method) is _nice:
+        return [choose_decoders(config.nice.decoders).digest]
     return []
 
 

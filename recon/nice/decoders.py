@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import math
 from dataclasses import dataclass, field
 from typing import Any
@@ -89,6 +90,15 @@ class OccupancyDecoders:
         for decoder in (self.middle, self.fine):
             decoder.to(device).requires_grad_(False)
         return self
+
+    @property
+    def digest(self) -> str:
+        """Short hash of the weights."""
+        content = hashlib.sha256()
+        for decoder in (self.middle, self.fine):
+            for values in decoder.state_dict().values():
+                content.update(values.cpu().contiguous().numpy().tobytes())
+        return content.hexdigest()[:16]
 
     def logits(self, points: Tensor, middle: Tensor, fine: Tensor | None = None) -> Tensor:
         """Logit of occupancy, (N,): middle(p), or middle(p) + fine(p) where fine features are given.

@@ -1,0 +1,75 @@
+"""h_w as the paper has it: the scale beta of a reading from a 5 x 5 patch of the sensor's own image (METHOD, h_w)."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+
+import numpy as np
+import torch
+from torch import Tensor, nn
+from torch.nn.functional import softplus
+
+from .. import features, features_reference
+from ..camera import Camera
+
+PATCH = 5  # pixels
+HIDDEN = 32
+HIDDEN_LAYERS = 5
+COLOR_INPUTS = 3
+
+
+class NoiseNet(nn.Module):
+    """(N, F * 25) values of a patch, feature by feature -> (N,) softplus(y); beta = beta_min + that.
+
+    Five hidden layers of 32 with ReLU, one output: 5889 parameters for F = 2, 9889 for 7, 6689 for colour (F = 3).
+    """
+
+    def __init__(self, inputs: int, generator: torch.Generator | None = None) -> None:
+        super().__init__()
+        sizes = [inputs * PATCH**2, *[HIDDEN] * HIDDEN_LAYERS, 1]
+        self.layers = nn.ModuleList(nn.Linear(a, b) for a, b in pairwise(sizes))
+        with torch.no_grad():
+            for layer in self.layers:
+                nn.init.xavier_uniform_(layer.weight, nn.init.calculate_gain("relu"), generator=generator)
+                layer.bias.zero_()
+
+    def forward(self, patches: Tensor) -> Tensor:
+        for layer in self.layers[:-1]:
+            patches = torch.relu(layer(patches))
+        return softplus(self.layers[-1](patches)[..., 0])
+
+
+def noise_images(depth: Tensor, normals: Tensor, camera: Camera, count: int, faithful: bool) -> Tensor:
+    """depth (H, W) metres, normals (H, W, 3) towards the camera -> (count, H, W): depth, incidence; of 7 also normal
+    and gradients, in the order depth, normal, incidence, dx, dy.
+
+    The paper's incidence is the angle between normal and line of sight, radians, a right angle where the normal is
+    unknown; the published code has the signed cosine of its own normals.
+    """
+    metres = depth.numpy()
+    if faithful:
+        smooth = features_reference.smooth_depth(metres)
+        normal = features_reference.normals(smooth, camera).astype(np.float32)
+        incidence = features_reference.incidence(normal, camera).astype(np.float32)
+        slopes = features_reference.gradients(metres)
+    else:
+        normal = normals.numpy()
+        incidence = np.arccos(features.incidence(normal, camera)).astype(np.float32)
+        slopes = features.gradients(metres) if count == 7 else ()
+    planes = [metres, incidence] if count == 2 else [metres, *np.moveaxis(normal, -1, 0), incidence, *slopes]
+    return torch.from_numpy(np.stack(planes).astype(np.float32, copy=False))
+
+
+def gather_patches(images: Tensor, frames: Tensor, rows: Tensor, columns: Tensor, size: int = PATCH) -> Tensor:
+    """images (K, ..., C, H, W); frames, rows, columns (N,) -> (N, ..., C * size^2) of the pixels around each.
+
+    Feature by feature; beyond the border the image repeats from its other side, as a cyclic shift of it would.
+    """
+    height, width = images.shape[-2:]
+    reach = torch.arange(size, device=images.device) - size // 2
+    down = ((rows[:, None] + reach) % height)[:, :, None]
+    across = ((columns[:, None] + reach) % width)[:, None, :]
+    pixels = (down * width + across).view(len(rows), -1)
+    flat = images.reshape(len(images), -1, height * width)
+    found = flat[frames[:, None, None], torch.arange(flat.shape[1], device=flat.device)[:, None], pixels[:, None]]
+    return found.reshape(len(rows), *images.shape[1:-3], -1)

@@ -1,0 +1,77 @@
+"""Frames as the mapper and the tracker take them, and the rays that they lend."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from ..camera import Camera
+from .noise import gather_patches
+
+
+@dataclass(frozen=True)
+class View:
+    """depths (K, H, W) metres of K sensors, 0 = no reading; color (H, W, 3) uint8; clues (K, C, H, W): what the
+    weighting sees of each sensor's image, C may be 0."""
+
+    index: int
+    depths: Tensor
+    color: Tensor
+    clues: Tensor
+
+    def to(self, device: torch.device) -> View:
+        return View(self.index, *(part.to(device) for part in (self.depths, self.color, self.clues)))
+
+
+@dataclass(frozen=True)
+class Rays:
+    """N rays of M views: the view of each (N,), directions (N, 3) in camera axes of unit z, depths (N, K) metres,
+    colors (N, 3) 0..1, clues (N, K, C), color_patches (N, 75) or None."""
+
+    views: Tensor
+    directions: Tensor
+    depths: Tensor
+    colors: Tensor
+    clues: Tensor
+    color_patches: Tensor | None
+
+    def posed(self, T_world_camera: Tensor) -> tuple[Tensor, Tensor]:
+        """Poses (M, 4, 4) -> origins and directions (N, 3) in the world."""
+        rotations, centres = T_world_camera[:, :3, :3], T_world_camera[:, :3, 3]
+        return centres[self.views], torch.einsum("nij,nj->ni", rotations[self.views], self.directions)
+
+
+class Window:
+    """Views side by side, ready to lend pixels; `edge` pixels at their border are cut away."""
+
+    def __init__(self, views: list[View], camera: Camera, clue_patch: int, color_patch: int, edge: int = 0) -> None:
+        """clue_patch, color_patch: pixels along the side of the patch that the weighting sees; 0: no colour patch."""
+        self.camera, self.clue_patch, self.color_patch = camera.cropped(edge), clue_patch, color_patch
+        inner = (slice(edge, camera.height - edge), slice(edge, camera.width - edge))
+        self.depths = torch.stack([view.depths[:, *inner] for view in views])
+        self.colors = torch.stack([view.color[inner] for view in views])
+        self.clues = torch.stack([view.clues[:, :, *inner] for view in views])
+        self.planes = self.colors.permute(0, 3, 1, 2).contiguous() if color_patch else self.colors
+        self.count = len(views)
+
+    def draw(self, pixels: int, generator: torch.Generator) -> Rays:
+        """`pixels` rays, the same number from each view, at random with replacement; generator on the views' device."""
+        each, device = max(1, pixels // self.count), self.depths.device
+        height, width = self.depths.shape[-2:]
+        picks = torch.randint(height * width, (self.count * each,), generator=generator, device=device)
+        views = torch.arange(self.count, device=device).repeat_interleave(each)
+        return self.at(views, picks // width, picks % width)
+
+    def at(self, views: Tensor, rows: Tensor, columns: Tensor) -> Rays:
+        """The rays of pixels (N,)."""
+        camera = self.camera
+        x, y = (columns - camera.cx) / camera.fx, (rows - camera.cy) / camera.fy
+        depths = self.depths[views, :, rows, columns]
+        clues = gather_patches(self.clues, views, rows, columns, self.clue_patch)
+        patches = None
+        if self.color_patch:
+            patches = gather_patches(self.planes, views, rows, columns, self.color_patch).float() / 255
+        directions = torch.stack([x, y, torch.ones_like(x)], -1)
+        return Rays(views, directions, depths, self.colors[views, rows, columns].float() / 255, clues, patches)
