@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from common import carry_out
+from uncle.recon.bench.methods import known_methods
 from uncle.recon.bench.process import Record, evaluate, map_costs, new_run, sensor_options, uncle
 from uncle.recon.bench.scores import scores
 from uncle.recon.bench.tables import cell, markdown_table, ratio
@@ -107,7 +108,7 @@ def parse(arguments: list[str] | None = None) -> argparse.Namespace:
     for kind in (room, heldout):
         kind.add_argument("dataset", type=Path)
         kind.add_argument("--sensors", nargs="+", default=[""], help="sets of sensors, like: sl sgm sl+psmnet")
-        kind.add_argument("--methods", nargs="+", default=["tsdf", "uncle"], choices=["tsdf", "uncle"])
+        kind.add_argument("--methods", nargs="+", default=["tsdf", "uncle"], choices=known_methods())
         kind.add_argument("--seeds", type=int, default=1, help="number of seeds, from 0 [1]")
         kind.add_argument("--out", type=Path, default=Path("bench-out"), help="results and run directories [bench-out]")
     return parser.parse_args(arguments)
