@@ -59,11 +59,11 @@ def command(
     from ..recon.bench.paper import Bench, run_paper
     from ..recon.bench.paper_tables import DETAILS
     from ..recon.bench.plan import Choice
-    from ..recon.bench.variants import choose_variants
+    from ..recon.bench.variants import variants_of_methods
     from ..recon.config import make_config
 
     chosen = methods or tuple(known_methods())
-    variants = tuple(choose_variants(ablation).items()) if ablation else ()
+    variants = tuple(variants_of_methods(ablation))
     choice = Choice(chosen, settings, sensors, seeds, overrides, protocol, device, variants)
     for method in chosen:
         make_config(method, list(choice.overrides_of(method)))  # an unknown method or setting is told at once

@@ -243,23 +243,23 @@ _HEADS = ("data set", "sensors", "setting", "method")
 
 def _ablated(records: Iterable[Record]) -> list[Record]:
     def group(record: Record) -> tuple[str, ...]:
-        return record["dataset"], record["sensors"], record["setting"], record["variant"]
+        return *group_of(record), record["variant"]
 
-    names = ("dataset", "sensors", "setting", "variant")
+    names = (*_NAMES, "variant")
     return summarise((r for r in records if r["variant"]), _TESTED, group, UNWEIGHTED, names)
 
 
 def _ablation(records: Iterable[Record]) -> Table:
-    found = {(r["dataset"], r["sensors"], r["setting"], r["variant"], r["metric"]): r for r in _ablated(records)}
+    found = {(*group_of(row), row["variant"], row["metric"]): row for row in _ablated(records)}
     rows = []
-    for group in dict.fromkeys(key[:4] for key in found):
+    for group in dict.fromkeys(key[:-1] for key in found):
         cells = [found.get((*group, metric.key)) for metric in _TESTED]
         rows.append([*group, *(mean_text(row, metric) for row, metric in zip(cells, _TESTED, strict=True))])
     note = (
         f"Means ± std; + and - mark what differs from `{UNWEIGHTED}` (Welch, p < 0.05). docs/bench.md has the variants."
     )
-    header = ["data set", "sensors", "setting", "variant", *(metric.heading for metric in _TESTED)]
-    return Table("Ablation of the uncertainty", header, rows, 4, [note] if rows else [])
+    header = [*_HEADS, "variant", *(metric.heading for metric in _TESTED)]
+    return Table("Ablation of the uncertainty", header, rows, 5, [note] if rows else [])
 
 
 def mean_text(row: Record | None, metric: Metric) -> str:

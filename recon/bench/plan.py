@@ -14,7 +14,7 @@ from typing import NamedTuple
 from ..errors import ConfigError
 from . import methods
 from .process import Record
-from .variants import Settings
+from .variants import Settings, Variant
 
 # setting -> (title, options of `uncle map`)
 SETTINGS: dict[str, tuple[str, tuple[str, ...]]] = {
@@ -72,7 +72,7 @@ class Choice:
     overrides: Settings = ()  # of every method, or of one: "METHOD:KEY=VALUE"
     protocol: str = "standard"
     device: str = "auto"
-    variants: tuple[tuple[str, Settings], ...] = ()
+    variants: tuple[Variant, ...] = ()
 
     def overrides_of(self, method: str) -> Settings:
         """Those of every method and its own, as `uncle map --set` takes them."""
@@ -141,7 +141,7 @@ def _turn(scene: Scene, choice: Choice, setting: str, sensors: str, seed: int) -
         for method in choice.methods
         if not methods.why_not(method, setting) and seed < methods.runs_of(method, setting, choice.seeds)
     ]
-    entries += [("uncle", name, settings) for name, settings in choice.variants]
+    entries += choice.variants
     return [
         Job(scene.name, sensors, setting, method, variant, seed, settings, hold_out, choice.digest(scene, method))
         for method, variant, settings in entries

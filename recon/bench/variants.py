@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Sequence
 from itertools import product
+from typing import NamedTuple
 
 from ..errors import ConfigError
 
@@ -12,6 +13,14 @@ UNWEIGHTED = "unweighted"
 Settings = tuple[str, ...]  # key=value, as `uncle map --set` takes them
 _TWO, _SEVEN = ("depth", "incidence"), ("depth", "incidence", "slope_x", "slope_y")
 _PATCH = {kind: tuple(f"{kind}_{window}" for window in (3, 7)) for kind in ("spread", "offset", "holes")}
+
+
+class Variant(NamedTuple):
+    """`name`: `settings` on top of the preset of `method`."""
+
+    method: str
+    name: str
+    settings: Settings
 
 
 def _features(*names: str) -> str:
@@ -45,7 +54,9 @@ GROUPS: dict[str, dict[str, Settings]] = {
         "no refinement": ("field.iterations=0",),
     },
 }
-_BASELINE: Settings = ("uncertainty.enabled=false",)
+# The groups that are not of the default method; and what every reading weighing the same is called in each method.
+METHOD_OF: dict[str, str] = {}
+_UNWEIGHTED_BY: dict[str, Settings] = {"uncle": ("uncertainty.enabled=false",)}
 
 
 def choose_variants(names: Sequence[str], added: Sequence[Sequence[str]] = ()) -> dict[str, Settings]:
@@ -54,10 +65,20 @@ def choose_variants(names: Sequence[str], added: Sequence[Sequence[str]] = ()) -
 
     Raises ConfigError for a name that there is not.
     """
-    known = {name: settings for group in GROUPS.values() for name, settings in group.items()}
-    chosen: dict[str, Settings] = {UNWEIGHTED: _BASELINE}
+    chosen = {variant.name: variant.settings for variant in variants_of_methods(names) if variant.method == "uncle"}
+    return {UNWEIGHTED: _UNWEIGHTED_BY["uncle"]} | chosen | {name: tuple(settings) for name, *settings in added}
+
+
+def variants_of_methods(names: Sequence[str]) -> list[Variant]:
+    """Variants by name or by group, of each method the unweighted one first. Raises ConfigError."""
+    known = {name: group for group, variants in GROUPS.items() for name in variants}
+    chosen: dict[str, dict[str, Settings]] = {}
     for name in names:
-        if name not in GROUPS and name not in known and name != UNWEIGHTED:
+        group = name if name in GROUPS else known.get(name)
+        if group is None and name != UNWEIGHTED:
             raise ConfigError(f"no variant or group is called {name!r}; there are {', '.join((*GROUPS, *known))}")
-        chosen |= GROUPS.get(name) or ({name: known[name]} if name in known else {})
-    return chosen | {name: tuple(settings) for name, *settings in added}
+        method = METHOD_OF.get(group or "", "uncle")
+        of_method = chosen.setdefault(method, {UNWEIGHTED: _UNWEIGHTED_BY[method]})
+        if group is not None:
+            of_method |= GROUPS[group] if name in GROUPS else {name: GROUPS[group][name]}
+    return [Variant(method, *item) for method, found in chosen.items() for item in found.items()]

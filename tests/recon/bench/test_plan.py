@@ -15,6 +15,7 @@ from uncle.recon.bench.plan import (
     synth_arguments,
     with_timing,
 )
+from uncle.recon.bench.variants import variants_of_methods
 from uncle.recon.config import PRESETS
 from uncle.recon.errors import ConfigError
 
@@ -107,9 +108,7 @@ def test_a_variant_that_changed_is_not_done():
 
 
 def test_variants_of_the_ablation_run_beside_the_methods():
-    choice = Choice(
-        ("tsdf",), ("given",), ("sl",), variants=(("unweighted", ("uncertainty.enabled=false",)), ("uncle", ()))
-    )
+    choice = Choice(("tsdf",), ("given",), ("sl",), variants=tuple(variants_of_methods(["uncle"])))
     jobs = plan([ROOM], choice)
     assert [(job.method, job.variant) for job in jobs] == [("tsdf", ""), ("uncle", "unweighted"), ("uncle", "uncle")]
     assert len({job.key for job in jobs}) == 3
