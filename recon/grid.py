@@ -25,6 +25,7 @@ class SparseGrid:
         self.blocks = torch.empty(0, 3, dtype=torch.int64, device=self.device)  # (B, 3) block coordinates
         self._origin = torch.zeros(3, dtype=torch.int64, device=self.device)
         self._volume = torch.full((1, 1, 1), -1, dtype=torch.int32, device=self.device)
+        self._shape = torch.ones(3, dtype=torch.int64, device=self.device)  # of the volume; no lookup waits for it
 
     @property
     def rows(self) -> int:
@@ -53,6 +54,7 @@ class SparseGrid:
         """Become the grid with exactly these blocks (B, 3), in this order."""
         self.blocks = torch.empty(0, 3, dtype=torch.int64, device=self.device)
         self._origin, self._volume = torch.zeros_like(self._origin), self._volume.new_full((1, 1, 1), -1)
+        self._shape = torch.ones_like(self._shape)
         if len(blocks):
             self._cover(blocks)
             x, y, z = (blocks - self._origin).unbind(-1)
@@ -61,7 +63,7 @@ class SparseGrid:
 
     def block_ids(self, blocks: Tensor) -> Tensor:
         """(..., 3) int64 block coordinates -> (...) int64 ids, -1 where there is no block."""
-        shape = torch.tensor(self._volume.shape, device=self.device)
+        shape = self._shape
         local = blocks - self._origin
         inside = ((local >= 0) & (local < shape)).all(-1)
         local = torch.where(inside[..., None], local, 0)
@@ -121,7 +123,7 @@ class SparseGrid:
         volume = torch.full(tuple((high - low).tolist()), -1, dtype=torch.int32, device=self.device)
         x, y, z = (self.blocks - low).unbind(-1)
         volume[x, y, z] = torch.arange(len(self.blocks), dtype=torch.int32, device=self.device)
-        self._origin, self._volume = low, volume
+        self._origin, self._volume, self._shape = low, volume, high - low
 
 
 def unique_blocks(blocks: Tensor) -> Tensor:

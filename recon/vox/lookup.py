@@ -21,12 +21,12 @@ class _Trilinear(torch.autograd.Function):
             spread = (corner_weights(fractions)[..., None] * grad[:, None]).view(-1, grad.shape[1])
             to_table = torch.zeros_like(table).index_add_(0, rows.view(-1), spread)
         if ctx.needs_input_grad[2]:
-            pull = torch.bmm(table[rows], grad[..., None]).view(-1, 2, 2, 2)  # what more of each corner would do
+            pull = (table[rows] * grad[:, None]).sum(-1).view(-1, 2, 2, 2)  # what more of each corner would do
             x, y, z = (torch.stack([1 - part, part], -1) for part in fractions.unbind(-1))
-            along_x = torch.einsum("nijk,nj,nk->ni", pull, y, z)
-            along_y = torch.einsum("nijk,ni,nk->nj", pull, x, z)
-            along_z = torch.einsum("nijk,ni,nj->nk", pull, x, y)
-            to_place = torch.stack([part[:, 1] - part[:, 0] for part in (along_x, along_y, along_z)], -1)
+            along_x = ((pull[:, 1] - pull[:, 0]) * y[:, :, None] * z[:, None, :]).sum((1, 2))
+            along_y = ((pull[:, :, 1] - pull[:, :, 0]) * x[:, :, None] * z[:, None, :]).sum((1, 2))
+            along_z = ((pull[..., 1] - pull[..., 0]) * x[:, :, None] * y[:, None, :]).sum((1, 2))
+            to_place = torch.stack([along_x, along_y, along_z], -1)
         return to_table, None, to_place
 
 

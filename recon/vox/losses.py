@@ -21,9 +21,9 @@ class Targets:
     depths: Tensor
     valid: Tensor
 
-    def of_rays(self, first: int, last: int) -> Targets:
-        """Those of rays first:last."""
-        return Targets(self.colors[first:last], self.depths[first:last], self.valid[first:last])
+    def __getitem__(self, rays: int | slice) -> Targets:
+        """Those of some rays; of one step, where a leading dimension counts steps."""
+        return Targets(self.colors[rays], self.depths[rays], self.valid[rays])
 
 
 @dataclass(frozen=True)

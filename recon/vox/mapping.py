@@ -50,17 +50,26 @@ class VoxMapper:
         return [view for view in chosen if len(view.usable)]
 
     def _optimise(self, views: list[VoxView], steps: int) -> None:
-        draws = zip(*(view.draws(self.config.rays, steps, self.generator) for view in views), strict=True)
+        origins, directions, targets = self._rays(views, steps)
         total = torch.zeros((), device=self.model.device)
-        for pixels in draws:
+        for step in range(steps):
             self.model.optimizer.zero_grad(set_to_none=True)
-            total += self._accumulate(views, pixels)
+            total += self._accumulate(origins, directions[step], targets[step])
             self.model.optimizer.step()
         self.losses.append(float(total) / steps)
 
-    def _accumulate(self, views: list[VoxView], pixels: tuple[Tensor, ...]) -> Tensor:
-        """Gradients of the loss on `pixels` (N,) of each view; returns the loss."""
-        origins, directions, targets = self._rays(views, pixels)
+    def _rays(self, views: list[VoxView], steps: int) -> tuple[Tensor, Tensor, Targets]:
+        """Rays of all steps: origins (N, 3), the same in each; directions (steps, N, 3) and targets of (steps, N)."""
+        poses = [view.T_world_camera for view in views]
+        pixels = [view.draw(self.config.rays, steps, self.generator) for view in views]
+        origins = [T[:3, 3].expand(own.shape[1], 3) for T, own in zip(poses, pixels, strict=True)]
+        directions = [self.directions[own] @ T[:3, :3].T for T, own in zip(poses, pixels, strict=True)]
+        seen = [view.targets(own) for view, own in zip(views, pixels, strict=True)]
+        parts = (torch.cat([getattr(own, name) for own in seen], 1) for name in ("colors", "depths", "valid"))
+        return torch.cat(origins), torch.cat(directions, 1), Targets(*parts)
+
+    def _accumulate(self, origins: Tensor, directions: Tensor, targets: Targets) -> Tensor:
+        """Gradients of the loss on rays (N, 3), (N, 3); returns the loss."""
         offset = torch.rand(len(origins), generator=self.generator, device=self.generator.device)
         samples = sample_rays(self.model, origins, directions, targets.depths, offset)
         targets = hit_alone(targets, samples)
@@ -68,23 +77,15 @@ class VoxMapper:
         total = torch.zeros((), device=origins.device)
         size = _RAYS_AT_A_TIME.get(origins.device.type, len(origins))
         for first in range(0, len(origins), size):
-            last = first + size
-            own = samples if size >= len(origins) else samples.of_rays(first, last)
+            rays = slice(first, first + size)
+            own = samples if size >= len(origins) else samples.of_rays(first, first + size)
             ray, z, _ = own.packed()
-            points = origins[first:last][ray] + directions[first:last][ray] * z[:, None]
-            loss = vox_loss(render(self.model, points, own), own, targets.of_rays(first, last), counts, self.config)
+            points = origins[rays][ray] + directions[rays][ray] * z[:, None]
+            loss = vox_loss(render(self.model, points, own), own, targets[rays], counts, self.config)
             if loss.requires_grad:
                 loss.backward()
             total += loss.detach()
         return total
-
-    def _rays(self, views: list[VoxView], pixels: tuple[Tensor, ...]) -> tuple[Tensor, Tensor, Targets]:
-        poses = [view.T_world_camera for view in views]
-        origins = torch.cat([T[:3, 3].expand(len(own), 3) for T, own in zip(poses, pixels, strict=True)])
-        directions = torch.cat([self.directions[own] @ T[:3, :3].T for T, own in zip(poses, pixels, strict=True)])
-        seen = [view.targets(own) for view, own in zip(views, pixels, strict=True)]
-        parts = ([getattr(target, name) for target in seen] for name in ("colors", "depths", "valid"))
-        return origins, directions, Targets(*(torch.cat(part) for part in parts))
 
     def state_dict(self) -> dict[str, Any]:
         return {"keyframes": [vars(view) for view in self.keyframes], "losses": list(self.losses)}

@@ -56,7 +56,9 @@ class VoxModel:
         self.embeddings = nn.Parameter(torch.empty(0, config.channels, device=device))
         self.decoder = Decoder(config, generator).to(device)
         self.optimizer = torch.optim.Adam(
-            [{"params": [self.embeddings]}, {"params": [*self.decoder.parameters()]}], lr=config.learning_rate
+            [{"params": [self.embeddings]}, {"params": [*self.decoder.parameters()]}],
+            config.learning_rate,
+            fused=device.type == "cuda",
         )
 
     def embed(self, points: Tensor, ids: Tensor) -> Tensor:

@@ -48,13 +48,19 @@ def place_samples(hits: Hits, step_m: float, offset: Tensor) -> Samples:
     lengths = hits.exit - hits.entry
     reached = torch.cumsum(lengths, 1)
     counts = torch.ceil(reached[:, -1] / step_m - offset).long().clamp(min=0)
-    longest = int(counts.max()) if len(counts) else 0
+    longest, total = torch.stack([counts.max(), counts.sum()]).tolist() if len(counts) else (0, 0)
     ordinal = torch.arange(longest, device=counts.device)
     there = ordinal < counts[:, None]
     way = (ordinal + offset[:, None]) * step_m
-    hit = torch.searchsorted(reached, way, right=True).clamp(max=lengths.shape[1] - 1)
-    before = reached - lengths
-    z = hits.entry.gather(1, hit) + way - before.gather(1, hit)
-    voxels = hits.ids.gather(1, hit)
-    there = there & (voxels >= 0)
-    return Samples(z, there, voxels.clamp(min=0), there.view(-1).nonzero()[:, 0])
+    last = (hits.ids >= 0).sum(1, keepdim=True).clamp(min=1) - 1
+    hit = torch.minimum(torch.searchsorted(reached, way, right=True), last)
+    z = hits.entry.gather(1, hit) + way - (reached - lengths).gather(1, hit)
+    voxels = hits.ids.gather(1, hit).clamp(min=0)
+    return Samples(z, there, voxels, _places(counts, longest, total))
+
+
+def _places(counts: Tensor, longest: int, total: int) -> Tensor:
+    """Where the first counts[n] places of row n stand in a flattened (N, longest); `total` in all."""
+    row = torch.repeat_interleave(torch.arange(len(counts), device=counts.device), counts, output_size=total)
+    before = torch.cumsum(counts, 0) - counts
+    return torch.arange(total, device=counts.device) - before[row] + row * longest

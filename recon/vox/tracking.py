@@ -6,7 +6,7 @@ import torch
 from torch import Tensor
 
 from .config import VoxConfig
-from .losses import Counts, vox_loss, without_outliers
+from .losses import Counts, Targets, vox_loss, without_outliers
 from .mapping import hit_alone, sample_rays
 from .model import VoxModel
 from .pose import moved
@@ -22,35 +22,34 @@ def track(
     directions (P, 3) of all pixels in the camera. METHOD, Baselines: Adam on se(3), new rays in each step.
     """
     start = view.T_world_camera
+    pixels = view.draw(config.tracking_rays, config.tracking_iterations, generator)
+    rays, targets = directions[pixels], view.targets(pixels)
+    offset = torch.rand(pixels.shape, generator=generator, device=generator.device)
     motion = torch.zeros(6, device=start.device, requires_grad=True)
-    optimizer = torch.optim.Adam([motion], lr=config.tracking_rate)
+    optimizer = torch.optim.Adam([motion], lr=config.tracking_rate, fused=start.is_cuda)
     met = torch.zeros((), dtype=torch.bool, device=start.device)
     with model.held():
-        for pixels in view.draws(config.tracking_rays, config.tracking_iterations, generator):
+        for step in range(len(pixels)):
             optimizer.zero_grad(set_to_none=True)
-            offset = torch.rand(len(pixels), generator=generator, device=generator.device)
-            loss, met = pose_loss(model, view, directions, pixels, offset, motion, config)
+            loss, met = pose_loss(model, start, motion, rays[step], targets[step], offset[step], config)
             if not loss.requires_grad:
                 return start, False
             loss.backward()
             optimizer.step()
     with torch.no_grad():
-        turn, centre = moved(start, motion)
         pose = torch.eye(4, device=start.device)
-        pose[:3, :3], pose[:3, 3] = turn, centre
+        pose[:3, :3], pose[:3, 3] = moved(start, motion)
     return pose, bool(met)
 
 
 def pose_loss(
-    model: VoxModel, view: VoxView, directions: Tensor, pixels: Tensor, offset: Tensor, motion: Tensor,
-    config: VoxConfig,
-) -> tuple[Tensor, Tensor]:  # fmt: skip
-    """Loss of the pixels (N,) of `view` after the camera moved by `motion` (6,); and whether any ray met the map.
+    model: VoxModel, start: Tensor, motion: Tensor, rays: Tensor, targets: Targets, offset: Tensor, config: VoxConfig
+) -> tuple[Tensor, Tensor]:
+    """Loss of rays (N, 3) of a camera at `start` (4, 4) moved by `motion` (6,); and whether any of them met the map.
 
     Where samples lie on a ray is held fixed: the gradient goes through what the map says at them.
     """
-    turn, centre = moved(view.T_world_camera, motion)
-    targets, rays = view.targets(pixels), directions[pixels]
+    turn, centre = moved(start, motion)
     with torch.no_grad():
         samples = sample_rays(model, centre.expand(len(rays), 3), rays @ turn.T, targets.depths, offset)
         targets = hit_alone(targets, samples)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -51,19 +50,20 @@ class VoxView:
         return points @ self.T_world_camera[:3, :3].T + self.T_world_camera[:3, 3]
 
     def targets(self, pixels: Tensor) -> Targets:
+        """What was seen at pixels (..., N)."""
         depths = self.depths[pixels]
         return Targets(self.colors[pixels].float() / 255, depths, depths > 0)
 
-    def draws(self, count: int, times: int, generator: torch.Generator) -> Iterator[Tensor]:
-        """`times` sets of `count` usable pixels (fewer, if there are fewer), without replacement within a set."""
+    def draw(self, count: int, times: int, generator: torch.Generator) -> Tensor:
+        """(times, count) usable pixels (fewer in a row, if there are fewer); those of a row are all different."""
         count = min(count, len(self.usable))
-        order, position = self.usable[:0], 0
-        for _ in range(times):
-            if position + count > len(order):
-                shuffled = torch.randperm(len(self.usable), generator=generator, device=generator.device)
-                order, position = self.usable[shuffled.to(self.usable.device)], 0
-            yield order[position : position + count]
-            position += count
+        rows, order = [], self.usable[:0]
+        for _ in range(times if count else 0):
+            if len(order) < count:
+                order = self.usable[torch.randperm(len(self.usable), generator=generator, device=generator.device)]
+            rows.append(order[:count])
+            order = order[count:]
+        return torch.stack(rows) if rows else self.usable[:0].view(0, 0)
 
 
 def as_pose(matrix: Any) -> Tensor:

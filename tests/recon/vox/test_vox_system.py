@@ -121,3 +121,22 @@ def test_a_broken_run_goes_on_to_the_same_result(room, tmp_path):
     assert learned["losses"] == relearned["losses"]
     for index, pose in whole.poses.items():
         np.testing.assert_array_equal(again.poses[index], pose)
+
+
+@pytest.mark.skipif(not torch.cuda.is_available(), reason="needs a CUDA device")
+def test_a_gpu_makes_the_same_map(room):
+    """Other random numbers, the same walls; tracking starts at the right pose and stays there."""
+    config = make_config("vox-fusion", SMALL, sensors=("gt",), device="cuda")
+    frames = RunFrames(room, ("gt",))
+    system = VoxSystem(frames, config, torch.device("cuda"))
+    for index in range(3):
+        system.map(frames[index], system.prepare(frames[index]), frames.pose(index), last=False)
+    found = system.track(frames[2], system.prepare(frames[2]), [frames.pose(2)])
+    assert np.linalg.norm(found.T_world_camera[:3, 3] - frames.pose(2)[:3, 3]) < 0.05
+    field = system.field({index: frames.pose(index) for index in range(3)}, lambda _: None)
+    near = field.known & (field.base[:, 0].abs() < 0.01)
+    rows = near.nonzero()[:, 0]
+    grid = field.grid
+    points = (grid.blocks[rows // 512] * grid.block_size_m + grid.inner_offsets()[rows % 512]).cpu().numpy()
+    assert len(points) > 200
+    assert np.median(distance_to_walls(points)) < 0.03
