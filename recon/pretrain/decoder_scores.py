@@ -22,9 +22,9 @@ def decoder_scores(
 ) -> dict[str, float]:
     """Fit features to cubes of unseen rooms with the decoders frozen; how well unseen places are told solid or free.
 
-    steps: of the features, middle stage first. pool: known places of each cube, half of them near surfaces; a quarter is
-    held back. Returns the intersection over union of solids and the share of right answers, each of middle and of middle
-    + fine, and the mean logit and the largest occupancy that features near zero have.
+    steps: of the features, middle stage first. pool: known places of each cube, half of them near surfaces; a quarter
+    is held back. Returns the intersection over union of solids and the share of right answers, each of middle and of
+    middle + fine, and the mean logit and the largest occupancy that features near zero have.
     """
     decoders = decoders.frozen(device)
     generator = torch.Generator(device).manual_seed(seed)
