@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Protocol
 
 import cv2
 import numpy as np
@@ -33,6 +34,13 @@ _ALIKE = 2  # steps: a second-best depth nearer than this is the same peak
 _MIN_INVERSE = 0.1  # 1 / metres: what is farther moves too little
 _MIN_AGREEMENT = 1e-3  # less is rounding: flat images agree on nothing
 _SIDE = 0.7  # of the half image: where points are taken that a source should see
+
+
+class PosedDepth(Protocol):
+    """depth (H, W) metres, 0 = none, and where it was taken."""
+
+    depth: np.ndarray
+    T_world_camera: np.ndarray
 
 
 @dataclass(frozen=True)
@@ -90,7 +98,7 @@ def depth_by_color(camera: Camera, reference: GreyView, sources: list[GreyView],
 
 
 def disagreement(
-    camera: Camera, images: Sequence[ColorDepth], which: int, pixels: np.ndarray
+    camera: Camera, images: Sequence[PosedDepth], which: int, pixels: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """How far the depth at `pixels` (N,) of an image lies from what others measure at the same place, metres.
 
@@ -114,7 +122,7 @@ def disagreement(
     return ordered[np.maximum(count - 1, 0) // 2, np.arange(len(pixels))], count
 
 
-def _onlookers(camera: Camera, images: Sequence[ColorDepth], which: int) -> list[ColorDepth]:
+def _onlookers(camera: Camera, images: Sequence[PosedDepth], which: int) -> list[PosedDepth]:
     """Images that see much of this one, evenly spread.
 
     Not its sources alone: an image and its source may agree on the same false match.

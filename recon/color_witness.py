@@ -20,12 +20,14 @@ from .frame import Frame
 from .map_surface import MapSurface
 from .photo_match import GreyView
 from .recording import RunFrames
+from .sensor_bias import CONFIRMED, REFUTED, SensorBias
 from .uncertainty import NoiseModel, Residuals
 
 FULL_SIZE_PIXELS = 200_000  # larger images are halved: finer pixels than the map's samples cost time only
 SAMPLES = 4000  # pixels of a view that teach
 MIN_ONLOOKERS = 3
-_STATE = ("frames", "indices", "poses", "depths", "betas", "testimony")
+CONFIRMED_SHARE = 3.0  # depth errs alike in neighbouring frames, colour that is known to be exact does not
+_STATE = ("frames", "indices", "poses", "depths", "betas", "testimony", "share")
 TESTIMONY = 3000  # pixels of a view that the sensors' models learn from
 
 
@@ -42,6 +44,7 @@ class ColorWitness:
         self.betas: list[Tensor] = []
         self.indices: list[int] = []
         self.testimony: dict[str, Tensor] = {}
+        self.share = 1.0  # what a reading counts beside that of a depth sensor
 
     def look(
         self, frames: RunFrames, poses: dict[int, np.ndarray], surface: MapSurface, on_event: OnEvent = ignore
@@ -66,6 +69,13 @@ class ColorWitness:
             self.betas.append(noise.beta_image(depth, torch.from_numpy(image.features).float()).half())
         return loss
 
+    def judge(self, confirmed: float) -> None:
+        """Count for more or not at all, given the share of the views of sensors that agree better with each other once
+        they are corrected by what colour says; in between nothing is known, and a reading counts as one."""
+        if confirmed <= REFUTED:
+            self.depths, self.betas, self.poses, self.indices, self.testimony = [], [], [], [], {}
+        self.share = CONFIRMED_SHARE if confirmed >= CONFIRMED else 1.0
+
     def confront(self, frame: Frame, features: dict[str, Tensor], view: int) -> None:
         """Keep what colour and the sensors say at some pixels of a frame that is a view."""
         depth, beta, _ = self._at_full_size(view)
@@ -78,12 +88,13 @@ class ColorWitness:
         told |= {"sensors": sensors, "inputs": inputs.half()}
         self.testimony = {n: torch.cat([self.testimony[n], v]) if self.testimony else v for n, v in told.items()}
 
-    def against(self, column: int) -> Residuals:
-        """How far the readings of a sensor lie from what colour says, which errs by the beta of colour."""
+    def against(self, column: int, bias: SensorBias | None = None) -> Residuals:
+        """How far the readings of a sensor, without its `bias`, lie beyond what colour says, which errs by its beta."""
         depth = self.testimony["sensors"][:, column]
         read = depth > 0
-        off = (depth - self.testimony["color"])[read].abs()
-        return Residuals(off, self.testimony["inputs"][read, column], self.testimony["beta"][read])
+        inputs = self.testimony["inputs"][read, column]
+        off = (depth - self.testimony["color"])[read] - (bias.of(inputs.float()) if bias else 0.0)
+        return Residuals(off, inputs, self.testimony["beta"][read])
 
     def readings(self) -> Iterator[tuple[Tensor, Tensor, Tensor]]:
         """For each view: depth (H, W) and beta (H, W) in metres at the size of the recording, and T_world_camera."""

@@ -18,13 +18,13 @@ from .grid import SparseGrid
 from .keyframes import KeyframeSelector, RayStore
 from .map_surface import MapSurface
 from .noise_features import noise_features
+from .sensor_biases import SensorBiases
 from .sensor_health import SensorHealth
 from .uncertainty import NoiseModel, Residuals
 
 WEIGHT_SCALE_M = 0.01  # a reading with this beta weighs 1
 WEIGHT_FLOOR = 0.5  # of the median weight of the image
 DOUBT_BETAS = 2.0  # a reading vouches for free space on the scale of this many betas before it
-COLOR_SHARE = 1.0  # of a reading of colour; more pays only where poses and calibration are exact
 _ENOUGH_READINGS = 20_000  # for a median
 _MAX_SELF_SHARE = 0.9  # readings that make up more of the map than this say nothing about themselves
 
@@ -40,6 +40,7 @@ class Mapper:
         truncation = fusion.truncation_voxels * fusion.voxel_size_m
         self.volume = FusionVolume(grid, camera, truncation, fusion.max_depth_m)
         self.noise = {s: NoiseModel(config.uncertainty, self.generator).to(device) for s in sensors}
+        self.bias = SensorBiases(camera, sensors, config.uncertainty, config.seed, device)
         self.selector = KeyframeSelector(camera, config.keyframes)
         self.rays = RayStore(config.keyframes.max_rays)
         self.log = FusionLog()  # used while poses can still change
@@ -156,9 +157,12 @@ class Mapper:
         return self.health.compare(frame, predicted.cpu(), self.volume.max_depth_m)
 
     # --- the whole map -----------------------------------------------------------------------------------------
-    def learn(self) -> dict[str, float]:
-        """Fit the noise models to the residuals of all keyframe rays against the whole map; returns the mean nats."""
-        return self._learn(self.rays.columns, self.config.uncertainty.steps_per_sweep, fused=True)
+    def learn(self, as_read: bool = False) -> dict[str, float]:
+        """Fit the noise models to the residuals of all keyframe rays against the whole map; returns the mean nats.
+
+        `as_read`: how far readings are off as they come, not once their bias is taken off.
+        """
+        return self._learn(self.rays.columns, self.config.uncertainty.steps_per_sweep, fused=True, as_read=as_read)
 
     def surface(self) -> MapSurface:
         """What the map shows now."""
@@ -169,7 +173,7 @@ class Mapper:
         """Fuse what colour says about the surface; each view stands for the frames between it and the next."""
         for depth, beta, T_world_camera in self.witness.readings():
             depth, beta, T_world_camera = (t.to(self.device) for t in (depth, beta, T_world_camera))
-            weight = COLOR_SHARE * self.witness.frames_per_view * self.weight(beta)
+            weight = self.witness.share * self.witness.frames_per_view * self.weight(beta)
             free_space = FreeSpace.of(weight, _typical(weight, depth > 0), DOUBT_BETAS * beta)
             self.volume.allocate(depth, T_world_camera)
             self.volume.integrate(depth, weight, None, T_world_camera, free_space)
@@ -178,21 +182,23 @@ class Mapper:
         """(R,) samples that enough readings saw."""
         return self.volume.counts() >= self.config.fusion.min_readings
 
-    def _learn(self, rays: dict[str, Tensor], steps: int, fused: bool) -> dict[str, float]:
+    def _learn(self, rays: dict[str, Tensor], steps: int, fused: bool, as_read: bool = False) -> dict[str, float]:
         """`fused`: the map holds these rays already, which must be taken out of their own residuals."""
         hit = self.surface().cast(rays["origins"], rays["directions"])
         losses = {}
         for column, (sensor, model) in enumerate(self.noise.items()):
             depth, features = rays["depths"][:, column], rays["features"][:, column]
             used = (depth > 0) & (hit > 0)
-            residual, inputs = (depth[used] - hit[used]).abs(), features[used]
+            inputs, bias = features[used], self.bias.models[sensor]
+            offset = torch.zeros_like(depth[used]) + bias.of(inputs.float())
+            residual = depth[used] - offset - hit[used]
             if fused:
                 points = rays["origins"][used] + rays["directions"][used] * hit[used, None]
                 residual, trusted = self._without_itself(residual, self.weight(model(inputs.float())), points)
-                residual, inputs = residual[trusted], inputs[trusted]
-            residuals = Residuals.against_truth(residual, inputs)
+                residual, inputs, offset = residual[trusted], inputs[trusted], offset[trusted]
+            residuals = Residuals.against_truth(residual + offset if as_read else residual, inputs)
             if fused and self.witness.testimony:
-                residuals = residuals.joined(self.witness.against(column))
+                residuals = residuals.joined(self.witness.against(column, None if as_read else bias))
             losses[sensor] = model.learn(residuals, steps, self.generator)
         return losses
 
@@ -206,7 +212,7 @@ class Mapper:
         rows = self.volume.grid.nearest_rows(points)
         total = self.volume.sums[rows.clamp(min=0), 0]
         share = (own / total.clamp(min=1e-9)).clamp(max=1.0)
-        near = residual < self.volume.truncation_m  # a reading further off had no say at this sample
+        near = residual.abs() < self.volume.truncation_m  # a reading further off had no say at this sample
         stretched = torch.where(near, residual / (1 - share.clamp(max=_MAX_SELF_SHARE)), residual)
         return stretched, ~near | (share < _MAX_SELF_SHARE)
 
@@ -242,6 +248,7 @@ class Mapper:
             "log": self.log.state_dict(),
             "witness": self.witness.state_dict(),
             "said": self.said,
+            "bias": self.bias.state_dict(),
             "health": self.health.state_dict(),
             "generator": self.generator.get_state(),
         }
@@ -258,6 +265,7 @@ class Mapper:
         self.log.load_state_dict(state["log"])
         self.witness.load_state_dict(state["witness"])
         self.said = dict(state["said"])
+        self.bias.load_state_dict(state["bias"])
         self.health.load_state_dict(state["health"])
         self.generator.set_state(state["generator"].cpu())
 

@@ -23,6 +23,7 @@ from .mapper import Mapper
 from .noise_prior import NoisePrior
 from .recording import RunFrames
 from .refine import refine
+from .sensor_biases import TRIAL_VIEWS
 from .tracking import GivenPoses, Tracker, require_found
 from .tracking.align import AlignTracker
 from .tracking_record import TrackingRecord
@@ -99,7 +100,7 @@ def reconstruct(
         if config.tracking.enabled:
             require_found(progress.poses, len(indices))
         with _timed(progress, "learning"):
-            _end_sweep(mapper, progress)
+            _end_sweep(mapper, progress, last=sweep == sweeps)
         if sweep == 0:
             with _timed(progress, "tracking"):
                 _settle(mapper, tracker, progress)
@@ -172,10 +173,11 @@ def _fuse(view: View, mapper: Mapper, progress: Progression) -> None:
         return
     with _timed(progress, f"sweep {progress.sweep + 1}"):
         pose = mapper.pose(recorded)
-        if mapper.config.tracking.enabled:
-            for depth in view.frame.depths.values():
+        frame = mapper.bias.corrected(view.frame, view.features)
+        if mapper.config.tracking.enabled or frame is not view.frame:  # the camera or the readings moved since
+            for depth in frame.depths.values():
                 mapper.volume.allocate(depth.to(mapper.device), pose)
-        mapper.fuse(view.frame, view.features, pose)
+        mapper.fuse(frame, view.features, pose)
 
 
 def _views(frames: RunFrames, indices: list[int], mapper: Mapper, tracker: Tracker | None = None) -> Iterator[View]:
@@ -210,13 +212,13 @@ def _sweep_views(
     on_event(Progress(stage, len(indices), len(indices)))
 
 
-def _end_sweep(mapper: Mapper, progress: Progression) -> None:
-    """Complete the map by what colour says, and learn from the whole of it."""
+def _end_sweep(mapper: Mapper, progress: Progression, last: bool) -> None:
+    """Complete the map by what colour says, and learn from the whole of it; at last about the readings as they come."""
     if not mapper.volume.grid.rows:
         raise DataError("no frame could be mapped: no depth reading within range has a camera pose")
     mapper.add_colors()
     if mapper.config.uncertainty.enabled:
-        for sensor, loss in mapper.learn().items():
+        for sensor, loss in mapper.learn(as_read=last).items():
             if math.isfinite(loss):
                 progress.losses.setdefault(f"noise {sensor}", []).append(loss)
 
@@ -233,6 +235,8 @@ def _hear_colors(frames: RunFrames, mapper: Mapper, progress: Progression, on_ev
     for number, view in enumerate(_views(frames, mapper.witness.indices, mapper)):
         mapper.witness.confront(view.frame, view.features, number)
     if mapper.witness.testimony:
+        tried = mapper.witness.indices[:: 1 + len(mapper.witness.indices) // TRIAL_VIEWS]
+        mapper.bias.hear(mapper.witness, ((view.frame, view.features) for view in _views(frames, tried, mapper)))
         mapper.learn()
 
 
@@ -240,7 +244,8 @@ def _refined_field(mapper: Mapper, config: MapConfig, on_event: OnEvent) -> tupl
     generator = torch.Generator().manual_seed(config.seed)
     result = NeuralField.from_fusion(mapper.volume, config.fusion.min_readings, config.field, generator)
     far_m, step_m = mapper.volume.ray_far_m, mapper.volume.ray_step_m
-    losses = refine(result, mapper.rays, mapper.noise, config.field, far_m, step_m, generator, on_event)
+    rays = mapper.bias.corrected_rays(mapper.rays)
+    losses = refine(result, rays, mapper.noise, config.field, far_m, step_m, generator, on_event)
     return result, losses
 
 

@@ -12,7 +12,7 @@ from torch.nn.functional import linear, softplus
 
 from .config import UncertaintyConfig
 from .errors import ConfigError
-from .losses import laplace_nll
+from .losses import interval_loss, laplace_nll
 from .noise_features import FEATURES
 
 START_BETA_M = 0.05  # before anything is learned
@@ -22,7 +22,7 @@ PIXELS = 8192  # evaluated at a time: what the layers pass on then stays in the 
 
 @dataclass(frozen=True)
 class Residuals:
-    """What a noise model learns from: how far readings lie from something (N,) metres, the inputs (N, F) of h_w there,
+    """What a model learns from: how far readings lie beyond something (N,) metres, its inputs (N, F) there,
     and the scale `blur` (N,) metres of the error of that something, 0 if it is unknown."""
 
     metres: Tensor
@@ -43,15 +43,15 @@ class Residuals:
         return Residuals(*(torch.cat([ours, theirs.to(device)]) for ours, theirs in pairs))
 
 
-class NoiseModel(nn.Module):
-    """h_w of one sensor: (N, F) features -> (N,) beta in metres, at least `beta_min_m` (paper: beta_min + softplus)."""
+class PixelNetwork(nn.Module):
+    """Two hidden layers from what is known of a pixel (N, F) to `outputs` numbers; learns by a Laplace likelihood."""
 
     def __init__(
-        self, config: UncertaintyConfig, generator: torch.Generator, features: tuple[str, ...] = FEATURES
+        self, config: UncertaintyConfig, generator: torch.Generator, features: tuple[str, ...], outputs: int
     ) -> None:
         super().__init__()
         self.config = config
-        sizes = [len(features), config.hidden, config.hidden, 1]
+        sizes = [len(features), config.hidden, config.hidden, outputs]
         self.layers = nn.ModuleList(nn.Linear(a, b) for a, b in pairwise(sizes))
         seen = seen_features(config.features) if features is FEATURES else torch.ones(len(features))
         self.register_buffer("seen", seen, persistent=False)
@@ -61,8 +61,59 @@ class NoiseModel(nn.Module):
                 layer.weight.uniform_(-bound, bound, generator=generator)
                 layer.bias.zero_()
             self.layers[-1].weight.mul_(0.1)
-            self.layers[-1].bias.fill_(math.log(math.expm1(START_BETA_M)))
+            self.layers[-1].bias[0] = math.log(math.expm1(START_BETA_M))
         self.optimizer = torch.optim.Adam(self.parameters(), config.learning_rate)
+
+    def scale_and_offset(self, features: Tensor) -> tuple[Tensor, Tensor | float]:
+        """(N, F) -> Laplace scale (N,) and middle (N,) of what is to be expected, metres."""
+        raise NotImplementedError
+
+    def outputs(self, features: Tensor) -> Tensor:
+        """(..., F) -> (..., outputs), of which the first is the scale before softplus."""
+        first, *others = self.layers[:-1]
+        hidden = torch.relu_(linear(features, first.weight * self.seen, first.bias))
+        for layer in others:
+            hidden = torch.relu_(layer(hidden))
+        return self.layers[-1](hidden)
+
+    def scale(self, outputs: Tensor) -> Tensor:
+        return self.config.beta_min_m + softplus(outputs[..., 0])
+
+    @torch.no_grad()
+    def image(self, depth: Tensor, features: Tensor) -> Tensor:
+        """depth (H, W) metres, features (H, W, F) -> what `forward` says (H, W), 0 where there is no reading."""
+        parts = features.reshape(-1, features.shape[-1]).split(PIXELS)
+        return torch.cat([self(part) for part in parts]).view(depth.shape) * (depth > 0)
+
+    def learn(self, residuals: Residuals, steps: int, generator: torch.Generator, for_intervals: bool = False) -> float:
+        """Minimise the negative log-likelihood of what was observed, or, `for_intervals`, how badly it is covered.
+
+        Returns the last mean likelihood, nats.
+        """
+        nats, loss_of = torch.zeros(()), interval_loss if for_intervals else laplace_nll
+        if len(residuals) == 0:
+            return math.nan
+        off = residuals.metres.clamp(-MAX_RESIDUAL_M, MAX_RESIDUAL_M)
+        for step in range(steps):
+            batch = torch.randint(len(residuals), (self.config.batch,), generator=generator).to(off.device)
+            scale, offset = self.scale_and_offset(residuals.features[batch].float())
+            misses = off[batch] - offset, torch.hypot(scale, residuals.blur[batch])
+            loss = loss_of(*misses).mean()
+            self.optimizer.param_groups[0]["lr"] = self.config.learning_rate * (1 - 0.9 * step / steps)
+            self.optimizer.zero_grad(set_to_none=True)
+            loss.backward()
+            self.optimizer.step()
+            nats = laplace_nll(*misses).detach().mean() if step + 1 == steps else nats
+        return float(nats)
+
+
+class NoiseModel(PixelNetwork):
+    """h_w of one sensor: (N, F) features -> (N,) beta in metres, at least `beta_min_m` (paper: beta_min + softplus)."""
+
+    def __init__(
+        self, config: UncertaintyConfig, generator: torch.Generator, features: tuple[str, ...] = FEATURES
+    ) -> None:
+        super().__init__(config, generator, features, outputs=1)
         self.has_prior = False  # it starts from what another recording taught
 
     @property
@@ -71,33 +122,14 @@ class NoiseModel(nn.Module):
         return self.has_prior or bool(self.optimizer.state)
 
     def forward(self, features: Tensor) -> Tensor:
-        first, *others = self.layers[:-1]
-        hidden = torch.relu_(linear(features, first.weight * self.seen, first.bias))
-        for layer in others:
-            hidden = torch.relu_(layer(hidden))
-        return self.config.beta_min_m + softplus(self.layers[-1](hidden)[..., 0])
+        return self.scale(self.outputs(features))
 
-    @torch.no_grad()
+    def scale_and_offset(self, features: Tensor) -> tuple[Tensor, Tensor | float]:
+        return self(features), 0.0
+
     def beta_image(self, depth: Tensor, features: Tensor) -> Tensor:
         """depth (H, W) metres, features (H, W, F) -> beta (H, W) metres, 0 where there is no reading."""
-        parts = features.reshape(-1, features.shape[-1]).split(PIXELS)
-        return torch.cat([self(part) for part in parts]).view(depth.shape) * (depth > 0)
-
-    def learn(self, residuals: Residuals, steps: int, generator: torch.Generator) -> float:
-        """Minimise the Laplace likelihood of what was observed; returns the last mean, nats."""
-        loss = torch.zeros(())
-        if len(residuals) == 0:
-            return math.nan
-        off = residuals.metres.clamp(max=MAX_RESIDUAL_M)
-        for step in range(steps):
-            batch = torch.randint(len(residuals), (self.config.batch,), generator=generator).to(off.device)
-            beta = torch.hypot(self(residuals.features[batch].float()), residuals.blur[batch])
-            loss = laplace_nll(off[batch], beta).mean()
-            self.optimizer.param_groups[0]["lr"] = self.config.learning_rate * (1 - 0.9 * step / steps)
-            self.optimizer.zero_grad(set_to_none=True)
-            loss.backward()
-            self.optimizer.step()
-        return float(loss.detach())
+        return self.image(depth, features)
 
 
 def seen_features(names: tuple[str, ...]) -> Tensor:

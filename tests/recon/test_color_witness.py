@@ -7,12 +7,13 @@ import pytest
 import torch
 from uncle.recon import pipeline
 from uncle.recon.checkpoint import Checkpoint
-from uncle.recon.color_witness import FULL_SIZE_PIXELS, ColorWitness
+from uncle.recon.color_witness import CONFIRMED_SHARE, FULL_SIZE_PIXELS, ColorWitness
 from uncle.recon.config import ColorConfig, UncertaintyConfig, make_config
 from uncle.recon.events import Progress
 from uncle.recon.frame import Frame
-from uncle.recon.mapper import COLOR_SHARE, Mapper
+from uncle.recon.mapper import Mapper
 from uncle.recon.recording import RunFrames
+from uncle.recon.sensor_bias import CONFIRMED, REFUTED
 
 STEPS = UncertaintyConfig(steps_per_sweep=150, learning_rate=0.01)
 QUICK = [
@@ -213,9 +214,37 @@ def test_the_map_overcomes_a_bias_that_its_only_sensor_always_has(box_room, walk
     assert "noise of colour" not in without.curves
     assert not without.mapper.witness.depths
     assert off_by(box_room, without.mapper, walk) == pytest.approx(0.04, abs=0.006)
-    assert off_by(box_room, with_colors.mapper, walk) < 0.025
-    twice = reconstructed(box_room, walk, tmp_path / "c", "fusion.sweeps=2")  # the sensor's beta knows of it by then
-    assert off_by(box_room, twice.mapper, walk) < 0.01
+    assert off_by(box_room, with_colors.mapper, walk) < 0.006
+    assert with_colors.mapper.bias.confirmed["stereo"] >= CONFIRMED
+    assert with_colors.mapper.witness.share == CONFIRMED_SHARE
+    assert not without.mapper.bias.confirmed
+    assert not without.mapper.bias.models["stereo"].believed
+
+
+def test_beta_is_about_readings_with_their_bias(box_room, walk, tmp_path):
+    made = reconstructed(box_room, walk, tmp_path / "a")
+    frame = RoomFrames(box_room, walk, scale=1.04)[4]
+    features = made.mapper.features(frame, {"stereo": torch.from_numpy(box_room.normals(walk[4]))})
+    corrected = made.mapper.bias.corrected(frame, features).depths["stereo"].numpy()
+    true = box_room.depth(walk[4])
+    assert np.median(np.abs(corrected / true - 1)) < 0.012  # as read: 0.04
+    beta = made.mapper.noise["stereo"].beta_image(frame.depths["stereo"], features["stereo"]).numpy()
+    assert np.median(beta / (0.04 * true)) == pytest.approx(1.0, abs=0.35)
+
+
+def test_colours_that_contradict_what_sensors_see_from_everywhere_are_not_heard(box_room, walk, tmp_path, monkeypatch):
+    """Depth is right, the pictures are taken by a camera with another focal length than that of the depth images."""
+    wide = replace(box_room, camera=replace(box_room.camera, fx=box_room.camera.fx * 1.1, fy=box_room.camera.fy * 1.1))
+    picture = type(box_room).picture
+    monkeypatch.setattr(type(box_room), "picture", lambda room, pose: picture(wide, pose))
+    frames = RoomFrames(box_room, walk)
+    config = make_config("uncle", QUICK, sensors=("stereo",), device="cpu")
+    checkpoint = Checkpoint(tmp_path / "a", "", 1e9)
+    made = pipeline.reconstruct(frames, list(range(len(walk))), config, checkpoint, lambda *_: None)
+    assert made.mapper.bias.confirmed["stereo"] <= REFUTED
+    assert not made.mapper.witness.depths
+    assert not made.mapper.bias.models["stereo"].believed
+    assert off_by(box_room, made.mapper, walk) < 0.004
 
 
 OFF = ["uncertainty.enabled=false", "color.enabled=false", "fusion.sweeps=0"]
@@ -249,12 +278,12 @@ def test_a_map_that_was_broken_off_is_the_same_with_colours(box_room, walk, tmp_
 
 
 def test_a_view_weighs_as_much_as_the_frames_it_stands_for(box_room, walk):
-    """Fused alone: each sample holds COLOR_SHARE * frames_per_view times the weight of beta, the surface lies at the
+    """Fused alone: each sample holds share * frames_per_view times the weight of beta, and the surface lies at the
     readings."""
     config = make_config("uncle", ["fusion.voxel_size_m=0.05", "fusion.blur_voxels=1"], device="cpu")
     mapper = Mapper(box_room.camera, ("stereo",), config, torch.device("cpu"))
     depth = torch.full((120, 160), 2.0)
-    state = {"frames": 7, "indices": [0], "poses": [torch.eye(4)], "depths": [depth], "testimony": {}}
+    state = {"frames": 7, "indices": [0], "poses": [torch.eye(4)], "depths": [depth], "testimony": {}, "share": 1.5}
     mapper.witness.load_state_dict(state | {"betas": [torch.full_like(depth, 0.0625).half()]})
     mapper.add_colors()
     mapper.add_colors()
@@ -262,7 +291,7 @@ def test_a_view_weighs_as_much_as_the_frames_it_stands_for(box_room, walk):
     positions = volume.grid.block_positions(torch.arange(len(volume.grid.blocks))).view(-1, 3)
     near = ((positions[:, 2] - 2.0).abs() < 0.1) & (volume.counts() == 2)
     assert near.sum() > 1000
-    expected = 2 * COLOR_SHARE * 7 * mapper.weight(torch.tensor(0.0625))
+    expected = 2 * 1.5 * 7 * mapper.weight(torch.tensor(0.0625))
     torch.testing.assert_close(volume.sums[near, 0], expected.expand(int(near.sum())), rtol=1e-4, atol=0)
     torch.testing.assert_close(volume.sdf()[near], 2.0 - positions[near, 2], atol=1e-4, rtol=0)
     assert not volume.color_sums.any()

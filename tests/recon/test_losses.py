@@ -1,10 +1,12 @@
-"""The Laplace likelihood against SciPy and calculus."""
+"""The Laplace likelihood against SciPy and calculus, and the loss of its intervals."""
+
+import math
 
 import numpy as np
 import pytest
 import torch
 from scipy.stats import laplace
-from uncle.recon.losses import laplace_nll
+from uncle.recon.losses import LEVELS, interval_loss, laplace_nll
 
 
 def test_agrees_with_scipy():
@@ -28,3 +30,29 @@ def test_minimal_where_beta_is_the_residual(residual):
     beta = torch.tensor(abs(residual), dtype=torch.float64, requires_grad=True)
     laplace_nll(torch.tensor(residual, dtype=torch.float64), beta).backward()
     assert float(beta.grad) == pytest.approx(0.0, abs=1e-9)
+
+
+def best_scale(errors: torch.Tensor) -> float:
+    """The constant beta of the smallest interval loss, by a fine search."""
+    scales = torch.logspace(-2, 1, 400)
+    return float(scales[torch.stack([interval_loss(errors, scale).mean() for scale in scales]).argmin()])
+
+
+def test_intervals_of_laplace_errors_are_best_at_their_scale():
+    uniform = torch.linspace(-0.5, 0.5, 20_003)[1:-1]
+    errors = -0.3 * uniform.sign() * torch.log1p(-2 * uniform.abs())
+    assert best_scale(errors) == pytest.approx(0.3, rel=0.03)
+
+
+def test_intervals_of_other_errors_miss_both_levels_by_as_much():
+    errors = torch.linspace(-1, 1, 20_001)  # flat: no scale covers half and nine tenths
+    beta = best_scale(errors)
+    half, most = (float((errors.abs() <= -beta * math.log(1 - level)).float().mean()) for level in LEVELS)
+    assert most > 0.97
+    assert 0.5 - half == pytest.approx(most - 0.9, abs=0.02)
+
+
+def test_a_small_error_counts_as_much_as_a_large_one():
+    beta = torch.tensor([0.001, 0.1])
+    assert interval_loss(2 * beta, beta)[0] == pytest.approx(float(interval_loss(2 * beta, beta)[1]))
+    assert torch.isfinite(interval_loss(torch.zeros(1), beta)).all()

@@ -1,0 +1,87 @@
+"""Where a sensor reads too near or too far: learned from colour, believed if its own readings then agree better.
+
+A sensor that errs the same way from everywhere makes a map that errs with it, so the map cannot tell. What colour says
+is noisy, but its middle is right where poses and the calibration of colour are. Whether they are is tested without it:
+offsets that depend on what an image shows, such as the distance, make views of the same place disagree. Taking the
+right ones off lets the views agree better, taking false ones off makes them agree less.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from .camera import Camera
+from .color_depth import disagreement
+from .config import UncertaintyConfig
+from .noise_features import FEATURES
+from .uncertainty import PixelNetwork
+
+UNIT_M = 0.1  # of the network's output
+MIN_ONLOOKERS = 3
+MIN_READINGS = 100  # of a view that are seen from others, to count it
+PIXELS = 1500  # of a view that are compared
+MIN_VIEWS = 3
+CONFIRMED, REFUTED = 0.75, 0.25  # share of the views that agree better, from which on, and up to which
+NEAR_M = 1e-3  # readings that agree as well as this agree
+
+
+class SensorBias(PixelNetwork):
+    """(N, F) features -> (N,) how much too far a sensor reads, metres; nothing unless it is `believed`."""
+
+    def __init__(self, config: UncertaintyConfig, generator: torch.Generator) -> None:
+        super().__init__(config, generator, FEATURES, outputs=2)
+        self.register_buffer("believed", torch.zeros((), dtype=torch.bool))
+
+    def forward(self, features: Tensor) -> Tensor:
+        return UNIT_M * self.outputs(features)[..., 1]
+
+    def scale_and_offset(self, features: Tensor) -> tuple[Tensor, Tensor | float]:
+        outputs = self.outputs(features)
+        return self.scale(outputs), UNIT_M * outputs[..., 1]
+
+    def correct(self, depth: Tensor, features: Tensor) -> Tensor:
+        """depth (H, W) metres as it is read, features (H, W, F) -> (H, W) as it should be."""
+        return (depth - self.image(depth, features)).clamp(min=0)
+
+    @torch.no_grad()
+    def of(self, features: Tensor) -> Tensor | float:
+        """(N,) metres to be taken off; 0 unless believed."""
+        return self(features) if self.believed else 0.0
+
+
+@dataclass(frozen=True)
+class DepthView:
+    """depth (H, W) metres, 0 = none, and where it was taken."""
+
+    depth: np.ndarray
+    T_world_camera: np.ndarray
+
+
+class BiasTrial:
+    """Views of one sensor as they are read and as they should be: which agree better with each other?"""
+
+    def __init__(self) -> None:
+        self.read: list[DepthView] = []
+        self.corrected: list[DepthView] = []
+
+    def add(self, depth: Tensor, corrected: Tensor, T_world_camera: np.ndarray) -> None:
+        self.read.append(DepthView(depth.cpu().numpy(), T_world_camera))
+        self.corrected.append(DepthView(corrected.cpu().numpy(), T_world_camera))
+
+    def share_better(self, camera: Camera, seed: int) -> float | None:
+        """Share of the views that agree better with the others once all are corrected; None if too few can tell."""
+        rng = np.random.default_rng(seed)
+        gains = []
+        for view in range(len(self.read)):
+            pixels = np.flatnonzero((self.read[view].depth > 0) & (self.corrected[view].depth > 0))
+            pixels = rng.choice(pixels, min(PIXELS, len(pixels)), replace=False)
+            before, seen = disagreement(camera, self.read, view, pixels)
+            after, seen_after = disagreement(camera, self.corrected, view, pixels)
+            told = np.minimum(seen, seen_after) >= MIN_ONLOOKERS
+            if told.sum() >= MIN_READINGS:
+                gains.append(np.log((before[told] + NEAR_M) / (after[told] + NEAR_M)).mean())
+        return float(np.mean(np.array(gains) > 0)) if len(gains) >= MIN_VIEWS else None

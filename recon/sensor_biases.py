@@ -1,0 +1,83 @@
+"""The biases of all sensors of a map: heard from colour, tried, and taken off."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import replace
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from .camera import Camera
+from .color_witness import ColorWitness
+from .config import UncertaintyConfig
+from .frame import Frame
+from .keyframes import RayStore
+from .sensor_bias import CONFIRMED, BiasTrial, SensorBias
+
+TRIAL_VIEWS = 40
+
+
+class SensorBiases:
+    """`models` by sensor; `confirmed`: share of the views that agree better without its bias, if that can be told."""
+
+    def __init__(
+        self, camera: Camera, sensors: tuple[str, ...], config: UncertaintyConfig, seed: int, device: torch.device
+    ) -> None:
+        self.camera, self.config, self.seed, self.device = camera, config, seed, device
+        self.generator = torch.Generator().manual_seed(seed)
+        self.models = {sensor: SensorBias(config, self.generator).to(device) for sensor in sensors}
+        self.confirmed: dict[str, float] = {}
+
+    def hear(self, witness: ColorWitness, views: Iterable[tuple[Frame, dict[str, Tensor]]]) -> None:
+        """Learn from colour where the sensors are biased, and believe it of those that some of its `views`, frame and
+        features, confirm.
+
+        A bias that is confirmed tells of colour, too: its poses and calibration are exact.
+        """
+        for column, model in enumerate(self.models.values()):
+            model.learn(witness.against(column), self.config.steps_per_sweep, self.generator)
+        poses = dict(zip(witness.indices, witness.poses, strict=True))
+        trials = {sensor: BiasTrial() for sensor in self.models}
+        for frame, features in views:
+            for sensor, depth in frame.depths.items():
+                corrected = self._correct(sensor, depth, features)
+                trials[sensor].add(depth, corrected, poses[frame.index].numpy())
+        tried = {sensor: trial.share_better(self.camera, self.seed) for sensor, trial in trials.items()}
+        self.confirmed = {sensor: share for sensor, share in tried.items() if share is not None}
+        for sensor, share in self.confirmed.items():
+            self.models[sensor].believed.fill_(share >= CONFIRMED)
+        if self.confirmed:
+            witness.judge(max(self.confirmed.values()))
+
+    def corrected(self, frame: Frame, features: dict[str, Tensor]) -> Frame:
+        """The frame without the biases that are believed."""
+        known = [sensor for sensor in frame.depths if self.models[sensor].believed]
+        corrected = {sensor: self._correct(sensor, frame.depths[sensor], features) for sensor in known}
+        return replace(frame, depths=frame.depths | corrected) if known else frame
+
+    def corrected_rays(self, rays: RayStore) -> RayStore:
+        """`rays` without the biases that are believed."""
+        corrected = RayStore(rays.capacity)
+        corrected.columns = dict(rays.columns)
+        if len(rays):
+            corrected.columns["depths"] = depths = rays["depths"].clone()
+            for column, model in enumerate(self.models.values()):
+                if model.believed:
+                    read = depths[:, column] > 0
+                    depths[read, column] -= model.of(rays["features"][read, column].float())
+            depths.clamp_(min=0)
+        return corrected
+
+    def _correct(self, sensor: str, depth: Tensor, features: dict[str, Tensor]) -> Tensor:
+        return self.models[sensor].correct(depth.to(self.device), features[sensor].to(self.device))
+
+    def state_dict(self) -> dict[str, Any]:
+        """Plain tensors and containers."""
+        return {"models": {s: m.state_dict() for s, m in self.models.items()}, "confirmed": self.confirmed}
+
+    def load_state_dict(self, state: dict[str, Any]) -> None:
+        for sensor, weights in state["models"].items():
+            self.models[sensor].load_state_dict(weights)
+        self.confirmed = dict(state["confirmed"])
