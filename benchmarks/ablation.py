@@ -17,9 +17,11 @@ from uncle.recon.bench.process import Record, evaluate, map_costs, new_run, sens
 from uncle.recon.bench.scores import scores
 from uncle.recon.bench.statistics import Metric
 from uncle.recon.bench.tables import cell, markdown_table, number
-from uncle.recon.bench.variants import GROUPS, Settings, choose_variants
+from uncle.recon.bench.variants import GROUPS, METHOD_OF, Settings, choose_variants
 from uncle.recon.bench.variants import UNWEIGHTED as BASELINE
 from uncle.recon.errors import RunError, UncleError
+
+OWN_GROUPS = [group for group in GROUPS if group not in METHOD_OF]  # of the default method
 
 
 # --- passes ----------------------------------------------------------------------------------------------------------
@@ -142,7 +144,7 @@ def parse(arguments: list[str] | None = None) -> argparse.Namespace:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("datasets", type=Path, nargs="+", metavar="DATASET")
     parser.add_argument("--sensors", nargs="+", default=[""], help="sets of sensors, like: sl sgm sl+psmnet")
-    parser.add_argument("--variants", nargs="+", default=list(GROUPS), help="groups or names of variants [all]")
+    parser.add_argument("--variants", nargs="+", default=OWN_GROUPS, help="groups or names of variants [all]")
     parser.add_argument(
         "--variant", nargs="+", action="append", default=[], metavar=("NAME", "KEY=VALUE"), help="one of your own"
     )

@@ -25,7 +25,7 @@ class _PaperCommand(SensorsCommand):
 @click.option("--settings", type=click.Choice(SETTINGS), multiple=True, default=SETTINGS, show_default=True,
               help="Given poses, tracking by depth alone, tracking by colour and depth.")  # fmt: skip
 @click.option("--ablation", multiple=True, metavar="NAME [NAME ...]",
-              help="Also variants of the uncertainty: groups (paper, own) or single ones.")  # fmt: skip
+              help="Also variants of the uncertainty: groups (paper, own, uncle-paper) or single ones.")  # fmt: skip
 @click.option("--seeds", type=click.IntRange(1), default=3, show_default=True, metavar="N",
               help="Number of seeds, from 0.")  # fmt: skip
 @click.option("--set", "overrides", multiple=True, metavar="KEY=VALUE",

@@ -39,7 +39,7 @@ def test_variants_are_chosen_by_group_by_name_and_on_the_way():
     assert list(chosen) == ["unweighted", "uncle", "1K2FS", "mine"]
     assert chosen["mine"] == ("field.rays=64", "field.samples=4")
     assert list(ablation.choose_variants(["paper"]))[1:] == list(ablation.GROUPS["paper"])
-    with pytest.raises(ConfigError, match="'6K2FS'; there are paper, own"):
+    with pytest.raises(ConfigError, match="'6K2FS'; there are paper, uncle-paper, own"):
         ablation.choose_variants(["6K2FS"])
 
 

@@ -38,8 +38,22 @@ def _paper_variants() -> dict[str, Settings]:
     return {f"{a}{b}": (_features(*seen[a]), small_large[b]) for a, b in product(seen, small_large)}
 
 
+def _of_the_papers_network() -> dict[str, Settings]:
+    """The same eight in the paper's own system, whose h_w sees the patch itself."""
+    choices = product((1, 5), (2, 7), (("S", "1e-3"), ("L", "1e-1")))
+    return {
+        f"h_w {patch}K{count}F{size}": (
+            f"nice.noise_patch={patch}",
+            f"nice.noise_features={count}",
+            f"nice.beta_min_m={beta_min}",
+        )
+        for patch, count, (size, beta_min) in choices
+    }
+
+
 GROUPS: dict[str, dict[str, Settings]] = {
     "paper": _paper_variants(),
+    "uncle-paper": _of_the_papers_network(),
     "own": {
         "uncle": (),
         "two inputs": (_features(*_TWO),),
@@ -55,16 +69,22 @@ GROUPS: dict[str, dict[str, Settings]] = {
     },
 }
 # The groups that are not of the default method; and what every reading weighing the same is called in each method.
-METHOD_OF: dict[str, str] = {}
-_UNWEIGHTED_BY: dict[str, Settings] = {"uncle": ("uncertainty.enabled=false",)}
+METHOD_OF = {"uncle-paper": "uncle-paper"}
+_UNWEIGHTED_BY: dict[str, Settings] = {
+    "uncle": ("uncertainty.enabled=false",),
+    "uncle-paper": ("nice.weighting=uniform",),
+}
 
 
 def choose_variants(names: Sequence[str], added: Sequence[Sequence[str]] = ()) -> dict[str, Settings]:
     """Variants of the default method by name, the unweighted one first: groups or single ones, and `added` as
     (name, setting, ...).
 
-    Raises ConfigError for a name that there is not.
+    Raises ConfigError for a name that there is not, or that is of another method.
     """
+    others = [name for name in names if name in METHOD_OF or any(name in GROUPS[group] for group in METHOD_OF)]
+    if others:
+        raise ConfigError(f"{others[0]!r} is of another method; run it with `uncle bench paper --ablation`")
     chosen = {variant.name: variant.settings for variant in variants_of_methods(names) if variant.method == "uncle"}
     return {UNWEIGHTED: _UNWEIGHTED_BY["uncle"]} | chosen | {name: tuple(settings) for name, *settings in added}
 

@@ -32,6 +32,7 @@ class NiceConfig(Strict):
     noise_features: Literal[2, 7] = Field(
         2, description="Inputs of h_w at a pixel: depth and incidence; 7: with normal and gradients."
     )
+    noise_patch: Literal[1, 5] = Field(5, description="Side of the patch of them around a pixel; 1: the pixel alone.")
     beta_min_m: float = Field(1e-3, gt=0, description="Smallest beta, metres; the same number for colour.")
     color: bool = Field(True, description="Map colour, too.")
     color_weight: float = Field(0.2, ge=0, description="Weight of the colour error in mapping where none is learned.")

@@ -19,14 +19,15 @@ COLOR_INPUTS = 3
 
 
 class NoiseNet(nn.Module):
-    """(N, F * 25) values of a patch, feature by feature -> (N,) softplus(y); beta = beta_min + that.
+    """(N, F * patch^2) values of a patch, feature by feature -> (N,) softplus(y); beta = beta_min + that.
 
-    Five hidden layers of 32 with ReLU, one output: 5889 parameters for F = 2, 9889 for 7, 6689 for colour (F = 3).
+    Five hidden layers of 32 with ReLU, one output: of 5 x 5 pixels 5889 parameters for F = 2, 9889 for 7, 6689 for
+    colour (F = 3).
     """
 
-    def __init__(self, inputs: int, generator: torch.Generator | None = None) -> None:
+    def __init__(self, inputs: int, generator: torch.Generator | None = None, patch: int = PATCH) -> None:
         super().__init__()
-        sizes = [inputs * PATCH**2, *[HIDDEN] * HIDDEN_LAYERS, 1]
+        sizes = [inputs * patch**2, *[HIDDEN] * HIDDEN_LAYERS, 1]
         self.layers = nn.ModuleList(nn.Linear(a, b) for a, b in pairwise(sizes))
         with torch.no_grad():
             for layer in self.layers:

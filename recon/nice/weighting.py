@@ -98,14 +98,16 @@ class Uniform:
 class Laplace:
     """The paper: |r| / beta + log beta with beta = beta_min + softplus(h_w(patch)), of each sensor and of colour."""
 
-    clue_patch, color_patch, learns = PATCH, PATCH, True
+    color_patch, learns = PATCH, True
 
     def __init__(
         self, config: NiceConfig, sensors: tuple[str, ...], camera: Camera, generator: torch.Generator,
         device: torch.device,
     ) -> None:  # fmt: skip
         self.config, self.sensors, self.camera = config, sensors, camera
-        self.depth_nets = [NoiseNet(config.noise_features, generator).to(device) for _ in sensors]
+        self.clue_patch: int = config.noise_patch
+        patch = self.clue_patch
+        self.depth_nets = [NoiseNet(config.noise_features, generator, patch).to(device) for _ in sensors]
         self.color_net = NoiseNet(COLOR_INPUTS, generator).to(device)
         self._nats: Tensor | None = None
 
@@ -148,11 +150,11 @@ class Laplace:
 
     @torch.no_grad()
     def betas(self, frame: Frame, clues: Tensor) -> dict[str, Tensor]:
-        found, reach = {}, PATCH // 2
+        found, patch = {}, self.clue_patch
         for sensor, images, net in zip(self.sensors, clues, self.depth_nets, strict=True):
             depth = images[0]
-            wrapped = torch.nn.functional.pad(images[None], (reach,) * 4, mode="circular")
-            patches = torch.nn.functional.unfold(wrapped, PATCH)[0].T  # (H * W, F * 25), feature by feature
+            wrapped = torch.nn.functional.pad(images[None], (patch // 2,) * 4, mode="circular")
+            patches = torch.nn.functional.unfold(wrapped, patch)[0].T  # (H * W, F * patch^2), feature by feature
             raw = torch.cat([net(part) for part in patches.split(1 << 15)]).view(depth.shape)
             found[sensor] = (self.config.beta_min_m + raw) * (depth > 0)
         return found

@@ -22,9 +22,16 @@ def test_each_method_has_its_unweighted_one_first():
     assert list(choose_variants([])) == [UNWEIGHTED]
 
 
+def test_variants_of_another_method_are_not_mistaken_for_ours():
+    for name in ("uncle-paper", "h_w 5K2FS"):
+        with pytest.raises(ConfigError, match="another method"):
+            choose_variants([name])
+    assert {variant.method for variant in variants_of_methods(["h_w 5K2FS", "uncle"])} == {"uncle", "uncle-paper"}
+
+
 def test_names_are_of_one_group_only():
     names = [name for variants in GROUPS.values() for name in variants]
     assert len(set(names)) == len(names)
     assert not set(names) & set(GROUPS)
-    with pytest.raises(ConfigError, match="'6K2FS'; there are paper, own"):
+    with pytest.raises(ConfigError, match="'6K2FS'; there are paper, uncle-paper, own"):
         variants_of_methods(["6K2FS"])

@@ -126,6 +126,14 @@ def test_beta_images_are_those_of_the_patches():
     assert images["b"][2, 3] == 0.0
 
 
+def test_with_a_patch_of_one_pixel_beta_is_that_of_the_pixel():
+    weighting = laplace(noise_patch=1)
+    assert weighting.clue_patch == 1
+    clues = torch.rand(2, 2, 6, 8) + 0.1
+    expected = 1e-3 + weighting.depth_nets[1](clues[1, :, 4, 7][None])
+    assert weighting.betas(None, clues)["b"][4, 7].item() == pytest.approx(expected.item(), rel=1e-5)
+
+
 def test_poses_and_their_prediction():
     first = moved(np.eye(4), np.array([0.1, 0.2, -0.3, 0.3, -0.2, 0.1]))
     step = moved(np.eye(4), np.array([0.01, 0.0, 0.02, 0.0, 0.05, 0.0]))
