@@ -33,6 +33,7 @@ class VoxConfig(BaseModel):
     iterations: int = Field(20, ge=1, description="Steps of the mapping for each mapped frame.")
     first_iterations: int = Field(200, ge=1, description="Steps for the first one, which all start from (ours).")
     learning_rate: float = Field(5e-3, gt=0, description="Step size of Adam for embeddings and decoder.")
+    bfloat16: bool = Field(False, description="Compute the decoder's layers in bfloat16 while mapping and tracking.")
     window: int = Field(4, ge=0, description="Keyframes that are mapped again with each frame, drawn at random.")
     keyframe_every: int = Field(50, ge=1, description="A frame more than this many after a keyframe becomes one.")
     map_every: int = Field(1, ge=1, description="Every n-th frame is mapped, and the last.")

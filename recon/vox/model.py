@@ -65,6 +65,10 @@ class VoxModel:
         """(M, 3) world points in the voxels `ids` (M,) -> (M, channels); differentiable in points and embeddings."""
         return trilinear(self.embeddings, self.voxels.corner_rows[ids], self.voxels.fractions(points, ids))
 
+    def precision(self) -> torch.autocast:
+        """Within, layers of the decoder compute in bfloat16, if the settings want it."""
+        return torch.autocast(self.device.type, torch.bfloat16, enabled=self.config.bfloat16)
+
     def add_points(self, points: Tensor) -> None:
         """Voxels around world points (N, 3), with random embeddings at corners that are new."""
         self.voxels.add_points(points)

@@ -48,11 +48,16 @@ def render(model: VoxModel, points: Tensor, samples: Samples) -> Rendered:
         empty = samples.z.new_zeros(len(samples.z))
         return Rendered(empty, empty[:, None].expand(-1, 3), samples.z.new_zeros(samples.z.shape))
     ray, _, ids = samples.packed()
-    hidden = model.decoder.trunk(model.embed(points, ids))
-    sdf = samples.pad(model.decoder.distance(hidden))
+    embedding = model.embed(points, ids)
+    with model.precision():
+        hidden = model.decoder.trunk(embedding)
+        distance = model.decoder.distance(hidden)
+    sdf = samples.pad(distance.to(embedding.dtype))
     weights = bell_weights(sdf, samples.z, samples.there, model.config.truncation_m)
     own = weights.view(-1)[samples.index]
     seen = (own.detach() > _FAINT).nonzero()[:, 0]
-    rgb = model.decoder.color(hidden[seen]) * own[seen, None]
+    with model.precision():
+        rgb = model.decoder.color(hidden[seen])
+    rgb = rgb.to(own.dtype) * own[seen, None]
     color = rgb.new_zeros(len(weights), 3).index_add(0, ray[seen], rgb)
     return Rendered((weights * samples.z).sum(1), color, sdf)
