@@ -8,8 +8,8 @@ from contextlib import contextmanager
 from typing import Any
 
 import torch
-from torch import Tensor, nn
-from torch.nn.functional import linear, relu
+from torch import Tensor, nn, relu_
+from torch.nn.functional import linear
 
 from .config import VoxConfig
 from .lookup import trilinear
@@ -35,7 +35,7 @@ class Decoder(nn.Module):
 
     def trunk(self, embedding: Tensor) -> Tensor:
         """(N, C) -> (N, hidden)."""
-        return relu(self.second(relu(self.first(embedding))))
+        return relu_(self.second(relu_(self.first(embedding))))
 
     def distance(self, hidden: Tensor) -> Tensor:
         """(N, hidden) -> (N,) signed distance in truncations, positive before the surface."""
@@ -44,7 +44,7 @@ class Decoder(nn.Module):
     def color(self, hidden: Tensor) -> Tensor:
         """(N, hidden) -> (N, 3) in 0..1."""
         features = linear(hidden, self.out.weight[1:], self.out.bias[1:])
-        return torch.sigmoid(self.color_out(relu(self.color_first(features))))
+        return torch.sigmoid(self.color_out(relu_(self.color_first(features))))
 
 
 class VoxModel:
