@@ -68,8 +68,10 @@ def uncle(*arguments: object, threads: int | None = None, log: Path | None = Non
 
 
 def share_of_cores(part: int, parts: int) -> list[int]:
-    """The cores of this process that the `part`-th of `parts` neighbours gets, at least one."""
-    cores = sorted(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else [*range(os.cpu_count() or 1)]
+    """The cores of this process that the `part`-th of `parts` neighbours gets, at least one, whichever thread asks."""
+    cores = (
+        sorted(os.sched_getaffinity(os.getpid())) if hasattr(os, "sched_getaffinity") else [*range(os.cpu_count() or 1)]
+    )
     each = max(1, len(cores) // parts)
     start = part * each % len(cores)
     return cores[start : start + each]

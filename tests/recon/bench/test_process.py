@@ -71,6 +71,24 @@ def test_neighbours_have_cores_of_their_own(monkeypatch):
     assert [process.share_of_cores(part, 7) for part in range(7)] == [[4], [5], [6], [7], [9], [4], [5]]
 
 
+@pytest.mark.skipif(not hasattr(os, "sched_setaffinity"), reason="threads cannot be pinned here")
+def test_a_pinned_thread_and_its_processes_stay_there_and_others_do_not():
+    before = process.share_of_cores(0, 1)
+    ask = python("import os; print(sorted(os.sched_getaffinity(0)))")
+    found = {}
+
+    def work():
+        process.stay_on(before[:1])
+        found["share"] = process.share_of_cores(0, 1)
+        found["child"] = process.run_process("x", ask)[1].strip()
+
+    thread = threading.Thread(target=work)
+    thread.start()
+    thread.join()
+    assert found == {"share": before, "child": str(before[:1])}
+    assert process.run_process("x", ask)[1].strip() == str(before)
+
+
 def test_a_new_run_borrows_the_frames_and_forgets_the_rest(tmp_path):
     base, run = tmp_path / "base", tmp_path / "run"
     (base / "frames").mkdir(parents=True)
