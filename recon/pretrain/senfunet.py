@@ -13,6 +13,7 @@ from torch import Tensor
 from torch.nn.utils import clip_grad_norm_
 
 from ..events import OnEvent, Progress, ignore
+from ..grid import unique_blocks
 from ..senfunet.blending import fused_distance, single_sensor, weighting_inputs
 from ..senfunet.bricks import BRICK, brick_samples, inner_part
 from ..senfunet.models import SenfunetModel
@@ -164,7 +165,7 @@ class PairMaps:
         touched = [self._bricks(update.rows) for update in updates if len(update.rows)]
         if not touched:
             return None
-        distinct = torch.unique(torch.cat(touched), dim=0)
+        distinct = unique_blocks(torch.cat(touched))
         chosen = distinct[torch.randperm(len(distinct), generator=generator)[:bricks].to(self.device)]
         loss = senfunet_loss(*self.samples(chosen, updates), self.truth.truncation_m)
         self.apply(updates)
@@ -198,7 +199,7 @@ class PairMaps:
     def observed_bricks(self) -> Tensor:
         """(B, 3) bricks with a reading."""
         rows = ((self.maps[0].weight > 0) | (self.maps[1].weight > 0)).nonzero()[:, 0]
-        return torch.unique(self._bricks(rows), dim=0)
+        return self._bricks(rows)
 
     def samples(self, bricks: Tensor, updates: list[Update] | None = None) -> tuple[Tensor, ...]:
         """alpha, distance and weight of both, and truth of the samples in `bricks` (B, 3), flat (alpha, d1, d2, w1, w2,
@@ -222,18 +223,16 @@ class PairMaps:
         """Distinct bricks (B, 3) of rows."""
         y_z = self.shape[1] * self.shape[2]
         local = torch.stack([rows // y_z, rows // self.shape[2] % self.shape[1], rows % self.shape[2]], -1)
-        return torch.unique(torch.div(local + self.first, BRICK, rounding_mode="floor"), dim=0)
+        return unique_blocks(torch.div(local + self.first, BRICK, rounding_mode="floor"))
 
 
 def _patched(values: list[Tensor], at: Tensor, update: Update, sensor_map: SensorGrid) -> list[Tensor]:
     """Gathered features, distances and weights, those of `update.rows` replaced by the new ones."""
     slot = sensor_map.slots(update.rows)[at]  # 0 = not updated
-    fresh, place = slot > 0, (slot - 1).clamp(min=0)
+    fresh = slot > 0
+    place = (slot[fresh] - 1,)
     new = (update.features, update.tsdf, update.weight)
-    return [
-        torch.where(fresh[..., None] if old.dim() > fresh.dim() else fresh, table[place], old)
-        for old, table in zip(values, new, strict=True)
-    ]
+    return [old.index_put((fresh,), table[place]) for old, table in zip(values, new, strict=True)]
 
 
 def _mean(values: Tensor) -> Tensor:

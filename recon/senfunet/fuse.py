@@ -11,7 +11,7 @@ from ..errors import ConfigError
 from ..events import OnEvent, Progress, Warn, ignore, track_progress
 from ..field import NeuralField
 from ..frame import Frame
-from ..grid import SparseGrid
+from ..grid import SparseGrid, unique_blocks
 from ..recording import RunFrames
 from .blending import believed, fused_distance, weighting_inputs
 from .bricks import brick_samples, inner_part
@@ -152,7 +152,7 @@ class SenfunetVolume:
         assert self.model is not None
         maps = [self.maps[sensor] for sensor in self.sensors]
         alpha = torch.zeros(self.grid.rows, device=self.device)
-        parts = torch.unique(self.grid.blocks >> 1, dim=0).split(_BRICKS_AT_A_TIME)
+        parts = unique_blocks(self.grid.blocks >> 1).split(_BRICKS_AT_A_TIME)
         for bricks in track_progress(parts, len(parts), "weighing the sensors", on_event, "parts"):
             rows = self.grid.sample_rows(brick_samples(bricks))
             at, there = rows.clamp(min=0), rows >= 0
