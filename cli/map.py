@@ -9,7 +9,7 @@ import click
 from .console import listener
 from .options import SensorsCommand, device_option, overwrite_option, run_option, seed_option, sensors_option
 
-METHODS = ("uncle", "uncle-paper", "nice-slam", "vox-fusion", "senfunet", "tsdf")
+METHODS = ("uncle", "uncle-paper", "nice-slam", "nice-slam-pre", "vox-fusion", "senfunet", "tsdf")
 
 
 @click.command("map", cls=SensorsCommand)
@@ -17,7 +17,8 @@ METHODS = ("uncle", "uncle-paper", "nice-slam", "vox-fusion", "senfunet", "tsdf"
 @sensors_option("Sensors to use. Default: all but the ground truth.")
 @click.option("--method", type=click.Choice(METHODS), default="uncle", show_default=True,
               help="uncle: fusion with learned uncertainty; uncle-paper, nice-slam: feature grids that are rendered, "
-                   "as in the papers; vox-fusion: distances on sparse voxels, tracked and mapped by rendering; "
+                   "as in the papers; nice-slam-pre: with confidences of trained networks; "
+                   "vox-fusion: distances on sparse voxels, tracked and mapped by rendering; "
                    "senfunet: two sensors fused by trained networks; tsdf: plain Open3D fusion.")  # fmt: skip
 @click.option("--track", is_flag=True,
               help="Estimate the camera of every frame; without it the poses are those of the data set.")  # fmt: skip

@@ -8,6 +8,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, Field, ValidationError
 
+from .confidence.config import ConfidenceConfig
 from .errors import ConfigError
 from .nice.config import PRESETS as NICE_PRESETS
 from .nice.config import NiceConfig, NiceMappingConfig, NiceTrackingConfig
@@ -133,7 +134,7 @@ class HealthConfig(Strict):
 class MapConfig(Strict):
     """Everything that decides the result of `uncle map`."""
 
-    method: Literal["uncle", "uncle-paper", "nice-slam", "vox-fusion", "senfunet", "tsdf"] = Field(
+    method: Literal["uncle", "uncle-paper", "nice-slam", "nice-slam-pre", "vox-fusion", "senfunet", "tsdf"] = Field(
         "uncle", description="The preset; set by `--method`."
     )
     sensors: tuple[str, ...] = Field(
@@ -155,6 +156,7 @@ class MapConfig(Strict):
     color: ColorConfig = ColorConfig()
     vox: VoxConfig = VoxConfig()
     senfunet: SenfunetConfig = SenfunetConfig()
+    confidence: ConfidenceConfig = ConfidenceConfig()
     nice: NiceConfig = NiceConfig()
     nice_mapping: NiceMappingConfig = NiceMappingConfig()
     nice_tracking: NiceTrackingConfig = NiceTrackingConfig()

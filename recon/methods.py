@@ -11,6 +11,7 @@ import numpy as np
 import torch
 
 from .checkpoint import Checkpoint, save_tensors
+from .confidence.models import ConfidenceModels
 from .config import MapConfig
 from .errors import DataError
 from .events import OnEvent, track_progress
@@ -70,6 +71,7 @@ def _nice(frames: RunFrames, config: MapConfig, device: torch.device) -> OnlineS
 SYSTEMS: dict[str, Callable[[RunFrames, MapConfig, torch.device], OnlineSystem]] = {
     "uncle-paper": _nice,
     "nice-slam": _nice,
+    "nice-slam-pre": _nice,
     "vox-fusion": _vox_fusion,
 }
 
@@ -97,7 +99,10 @@ def trained_parts(config: MapConfig) -> list[str]:
         model = _senfunet_model(config)
         return [model.digest] if model else []
     if SYSTEMS.get(config.method) is _nice:
-        return [choose_decoders(config.nice.decoders).digest]
+        found = [choose_decoders(config.nice.decoders).digest]
+        if config.nice.weighting == "confidence":
+            found.append(ConfidenceModels.load(config.sensors, config.confidence.files).digest)
+        return found
     return []
 
 

@@ -83,4 +83,5 @@ OPTIMISED: dict[str, Any] = {
 PRESETS: dict[str, dict[str, Any]] = {
     "uncle-paper": {**OPTIMISED, "nice": {"weighting": "laplace"}},
     "nice-slam": {**OPTIMISED, "nice": {"weighting": "uniform"}},
+    "nice-slam-pre": {**OPTIMISED, "nice": {"weighting": "confidence"}},
 }

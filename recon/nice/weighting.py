@@ -13,6 +13,7 @@ import torch
 from torch import Tensor, nn
 
 from ..camera import Camera
+from ..confidence.models import ConfidenceModels
 from ..frame import Frame
 from .config import NiceConfig, NiceTrackingConfig
 from .noise import COLOR_INPUTS, PATCH, NoiseNet, noise_images
@@ -177,4 +178,9 @@ def choose_weighting(config: Any, sensors: tuple[str, ...], camera: Camera, gene
     """The weighting that `config` (a `MapConfig`) asks for. Raises ConfigError."""
     if config.nice.weighting == "laplace":
         return Laplace(config.nice, sensors, camera, generator, device)
+    if config.nice.weighting == "confidence":
+        from ..confidence.weighting import Confident  # which is made of `Uniform`
+
+        models = ConfidenceModels.load(sensors, config.confidence.files, device)
+        return Confident(config.nice, config.nice_tracking, models, device)
     return Uniform(config.nice, config.nice_tracking)

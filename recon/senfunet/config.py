@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
+
+from ..strict import Strict
 
 
-class SenfunetConfig(BaseModel):
+class SenfunetConfig(Strict):
     """The learned fusion of two sensors."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
     file: str = Field(
         "", description="Networks of the two sensors, a file of `uncle pretrain senfunet`; empty: those of the package."
