@@ -23,7 +23,7 @@ from .training_data import open_sources
 @click.option("--batch", type=click.IntRange(1), default=8, show_default=True, help="Crops in a step.")
 @click.option("--crop", type=click.IntRange(16), default=96, show_default=True, help="Their side, pixels.")
 @click.option("--accumulate", type=click.IntRange(1), default=1, show_default=True, help="Batches in a step.")
-@click.option("--learning-rate", type=click.FloatRange(0, min_open=True), default=1e-4, show_default=True,
+@click.option("--learning-rate", type=click.FloatRange(0, min_open=True), default=5e-5, show_default=True,
               help="Step size of RMSprop; it falls to a tenth.")  # fmt: skip
 @click.option("--penalty", type=click.FloatRange(0, min_open=True), default=0.015, show_default=True,
               help="Lambda of the loss: readings with a smaller error, metres, are trusted fully.")  # fmt: skip
