@@ -32,8 +32,8 @@ class ConfidenceTraining:
     """How long and how fast; RMSprop's alpha 0.95, eps 1e-7, momentum 0.9 are the reference's.
 
     Its weight decay of 0.01 is left out: the gradients of a loss in metres are smaller than that, and the first layers
-    fade to nothing. The reference takes whole images of 512 pixels, batch 2, 16 batches a step, and 1e-5 for up to 1000 epochs; these
-    defaults see fewer pixels in larger steps that shrink to a tenth.
+    fade to nothing. The reference takes whole images of 512 pixels, batch 2, 16 batches a step, and 1e-5 for up to 1000
+    epochs; these defaults see fewer pixels in larger steps that shrink to a tenth.
     """
 
     steps: int = 1500
