@@ -65,6 +65,12 @@ class NiceMapper:
             self.curves.setdefault(f"noise {name}", []).append(nats)
         return {frame.view.index: frame.T_world_camera for frame in frames} if moves else {}
 
+    def loss(self, window: Window, poses: Tensor, stage: Stage) -> Tensor:
+        """Of fresh random pixels of the window's views at poses (M, 4, 4)."""
+        rays = window.draw(self.settings.pixels, self.draws)
+        picture = look(rays, poses, self.evaluate, self.scene.bound, stage, self.config.nice)
+        return mapping_loss(picture, rays, self.weighting, stage)
+
     def _window(self, current: Keyframe, size: int) -> list[Keyframe]:
         device = self.scene.device
         poses = torch.from_numpy(np.array([k.T_world_camera for k in self.keyframes])).float().to(device)
@@ -104,9 +110,7 @@ class NiceMapper:
         for stage in stages:
             adjusts = moves and stage == "color"
             poses = to_matrix(seven * free + seven.detach() * (1 - free)) if adjusts else fixed
-            rays = window.draw(self.settings.pixels, self.draws)
-            picture = look(rays, poses, self.evaluate, self.scene.bound, stage, self.config.nice)
-            optimizer.step(mapping_loss(picture, rays, self.weighting, stage), stage, masks)
+            optimizer.step(self.loss(window, poses, stage), stage, masks)
         if moves:
             for frame, pose in zip(frames, to_matrix(seven.detach()), strict=True):
                 frame.T_world_camera = tidy(pose)

@@ -16,7 +16,9 @@ from ..grid import SparseGrid
 from ..online import Found, Poses
 from ..recording import RunFrames
 from .bound import around, bound_of, points_of, set_bound
+from .fast import FastEvaluate
 from .mapper import Keyframe, NiceMapper
+from .objective import Evaluate
 from .scene import Scene
 from .surface import Seen, field_of
 from .tracker import NiceTracker
@@ -38,6 +40,7 @@ class NiceSystem:
         self.weighting: Weighting = choose_weighting(config, frames.sensors, camera, self.generator, device)
         self.learns_uncertainty = self.weighting.learns
         self.scene: Scene | None = None
+        self.evaluate: Evaluate | None = None
         self.mapper: NiceMapper | None = None
         self.tracker: NiceTracker | None = None
 
@@ -75,7 +78,7 @@ class NiceSystem:
             depths = torch.stack([self.frames.depth(index, sensor) for sensor in self.frames.sensors])
             depths = torch.where(depths < self._reach, depths, 0.0).to(self.device)
             seen.add(depths, torch.from_numpy(poses[index]).float().to(self.device))
-        return field_of(self.scene, seen, self.scene.values, self.config)
+        return field_of(self.scene, seen, self.evaluate, self.config)
 
     def curves(self) -> dict[str, list[float]]:
         return self.mapper.curves
@@ -123,7 +126,8 @@ class NiceSystem:
 
     def _open(self, bound: Tensor) -> None:
         self.scene = Scene(bound, self.config.nice, self.generator, self.device)
-        parts = (self.scene, self.weighting, self.frames.camera, self.config, self.scene.values)
+        self.evaluate = FastEvaluate(self.scene) if self.device.type == "cpu" else self.scene.values
+        parts = (self.scene, self.weighting, self.frames.camera, self.config, self.evaluate)
         self.mapper = NiceMapper(*parts, self.generator, self.draws)
         self.tracker = NiceTracker(*parts, self.draws)
 

@@ -42,7 +42,7 @@ class NiceTracker:
         best, least = start, torch.full((), torch.inf, device=start.device)
         for _ in range(settings.iterations):
             seven = torch.cat([rotation, centre])
-            loss = self._loss(window, to_matrix(seven[None]))
+            loss = self.loss(window, to_matrix(seven[None]))
             adam.zero_grad(set_to_none=True)
             loss.backward()
             before = seven.detach().clone()
@@ -54,7 +54,7 @@ class NiceTracker:
             return Found(None, "lost")
         return Found(tidy(to_matrix(best[None])[0]))
 
-    def _loss(self, window: Window, poses: Tensor) -> Tensor:
+    def loss(self, window: Window, poses: Tensor) -> Tensor:
         """Of fresh random pixels; poses (1, 4, 4)."""
         colored = self.config.tracking.color and self.config.nice.color
         rays = window.draw(self.settings.pixels, self.draws)

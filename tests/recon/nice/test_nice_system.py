@@ -19,7 +19,7 @@ from uncle.recon.trajectory import Trajectory
 
 QUICK = [
     "nice.decoders=random", "nice_mapping.every=4", "nice_mapping.first_iterations=50", "nice_mapping.iterations=12",
-    "nice_mapping.pixels=200", "nice_mapping.keyframe_every=4", "nice_mapping.refine=false", "fusion.voxel_size_m=0.05",
+    "nice_mapping.pixels=200", "nice_mapping.keyframe_every=4", "nice_mapping.refine=false", "fusion.voxel_size_m=0.08",
     "nice_tracking.pixels=200",
 ]  # fmt: skip
 ANGLES = np.linspace(0, 0.4, 6)
@@ -40,8 +40,8 @@ def test_the_walls_are_found(make_mappable_run, box_room, method):
     run = make_mappable_run(angles=ANGLES)
     map_run(run, settings(method=method))
     off = distances(run, box_room)
-    assert len(off) > 2000
-    assert np.median(off) < 0.04
+    assert len(off) > 1000
+    assert np.median(off) < 0.05
     assert np.quantile(off, 0.9) < 0.2
     assert run.beta_path("noisy", 0).exists() == (method == "uncle-paper")
     learned = load_tensors(run.system_path)
