@@ -35,19 +35,19 @@ class VoxMapper:
         self.losses: list[float] = []  # mean of the steps of each mapped frame
 
     def map(self, view: VoxView) -> None:
-        """Make a posed view part of the map."""
-        first = not self.keyframes
+        """Make a posed view part of the map, if it has readings."""
+        if not len(view.usable):
+            return
         self.model.add_points(view.points(self.directions))
-        if len(view.usable):
-            self._optimise([*self._window(), view], self.config.first_iterations if first else self.config.iterations)
-        if first or view.index - self.keyframes[-1].index > self.config.keyframe_every:
+        steps = self.config.iterations if self.keyframes else self.config.first_iterations
+        self._optimise([*self._window(), view], steps)
+        if not self.keyframes or view.index - self.keyframes[-1].index > self.config.keyframe_every:
             self.keyframes.append(view)
 
     def _window(self) -> list[VoxView]:
         """Random keyframes, at most `window`."""
         order = torch.randperm(len(self.keyframes), generator=self.generator, device=self.generator.device)
-        chosen = (self.keyframes[i] for i in order.tolist()[: self.config.window])
-        return [view for view in chosen if len(view.usable)]
+        return [self.keyframes[i] for i in order.tolist()[: self.config.window]]
 
     def _optimise(self, views: list[VoxView], steps: int) -> None:
         origins, directions, targets = self._rays(views, steps)

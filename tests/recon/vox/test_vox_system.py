@@ -107,6 +107,19 @@ def test_a_frame_without_readings_is_lost(room):
     assert found.T_world_camera is None
 
 
+def test_frames_without_readings_leave_no_trace(room):
+    """A first frame without any does not use up the steps of the first; no frame with any makes no surface."""
+    config = make_config("vox-fusion", SMALL, sensors=("gt",), device="cpu")
+    frames = RunFrames(room, ("gt",))
+    system = VoxSystem(frames, config, torch.device("cpu"))
+    frame = frames[0]
+    frame.depths["gt"].zero_()
+    system.map(frame, system.prepare(frame), frames.pose(0), last=False)
+    assert system.keyframes() == 0
+    assert not system.mapper.losses
+    assert not system.field({0: frames.pose(0)}, lambda _: None).known.any()
+
+
 def test_a_broken_run_goes_on_to_the_same_result(room, tmp_path):
     """Tracked, so that poses, rays and moments of Adam all have to be there again."""
     settings = [*SMALL, "vox.rays=64", "vox.first_iterations=10", "vox.iterations=3", "vox.tracking_iterations=3",
