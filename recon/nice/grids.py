@@ -26,6 +26,11 @@ class FeatureGrid:
     table: Tensor
     std: float
 
+    def __post_init__(self) -> None:
+        """What lookups need on the device, put there once."""
+        self._steps = torch.tensor(_CORNERS, device=self.low.device)
+        self._last = torch.tensor(self.shape, device=self.low.device) - 1
+
     @staticmethod
     def over(
         bound: Tensor, voxel_m: float, std: float, generator: torch.Generator, device: torch.device
@@ -39,7 +44,7 @@ class FeatureGrid:
 
     def grown(self, bound: Tensor, generator: torch.Generator) -> FeatureGrid:
         """The grid with as many vertices more on each side as it takes to reach bound (2, 3); old ones stay."""
-        low, high = self.low, self.low + self.pitch * (torch.tensor(self.shape, device=self.low.device) - 1)
+        low, high = self.low, self.low + self.pitch * self._last
         before = torch.ceil((low - bound[0].to(low)) / self.pitch - 1e-3).clamp(min=0).long().tolist()
         after = torch.ceil((bound[1].to(low) - high) / self.pitch - 1e-3).clamp(min=0).long().tolist()
         shape = tuple(a + n + b for a, n, b in zip(before, self.shape, after, strict=True))
@@ -57,14 +62,12 @@ class FeatureGrid:
 
     def corners(self, points: Tensor) -> tuple[Tensor, Tensor]:
         """(N, 3) -> rows (N, 8) int64 of the vertices around, weights (N, 8), differentiable in the points."""
-        last = torch.tensor([n - 1 for n in self.shape], device=points.device)
-        place = torch.minimum(((points - self.low) / self.pitch).clamp(min=0), last.to(points.dtype))
-        base = torch.minimum(place.detach().floor(), (last - 1).to(points.dtype))
+        place = torch.minimum(((points - self.low) / self.pitch).clamp(min=0), self._last.to(points.dtype))
+        base = torch.minimum(place.detach().floor(), (self._last - 1).to(points.dtype))
         part = place - base
-        steps = _CORNERS.to(points.device)
-        cell = base.long()[:, None] + steps
+        cell = base.long()[:, None] + self._steps
         rows = (cell[..., 0] * self.shape[1] + cell[..., 1]) * self.shape[2] + cell[..., 2]
-        weights = torch.where(steps.bool(), part[:, None], 1 - part[:, None]).prod(-1)
+        weights = torch.where(self._steps.bool(), part[:, None], 1 - part[:, None]).prod(-1)
         return rows, weights
 
     def lookup(self, points: Tensor) -> Tensor:
@@ -83,7 +86,7 @@ class FeatureGrid:
         return FeatureGrid(low, pitch, tuple(state["shape"]), table, state["std"])
 
 
-_CORNERS = torch.tensor([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)])
+_CORNERS = [[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)]
 
 
 class _WeightedRows(torch.autograd.Function):
