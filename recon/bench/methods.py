@@ -9,6 +9,8 @@ UNWEIGHTED = "nice-slam"  # the paper's system with unit weights: what its uncer
 _ORDER = ("uncle", "uncle-paper", UNWEIGHTED, "nice-slam-pre", "vox-fusion", "senfunet", BASELINE)
 _GIVEN_ONLY = {"senfunet": "it fuses with given poses and has no tracker"}
 _SEEDLESS = frozenset({BASELINE, "senfunet"})  # nothing is drawn with given poses: one run says all
+# The paper's depth-only rows know no colour, in mapping neither; what else a method does in a setting
+_SETTINGS = {("depth", method): ("nice.color=false",) for method in ("uncle-paper", UNWEIGHTED, "nice-slam-pre")}
 
 
 def known_methods() -> list[str]:
@@ -19,6 +21,11 @@ def known_methods() -> list[str]:
 def why_not(method: str, setting: str) -> str | None:
     """Why a table has no figures for `method` in this setting; None if it can do it."""
     return _GIVEN_ONLY.get(method) if setting != "given" else None
+
+
+def settings_of(method: str, setting: str) -> tuple[str, ...]:
+    """What `method` is told in this setting beside the options of all methods; a user's --set comes after it."""
+    return _SETTINGS.get((setting, method), ())
 
 
 def runs_of(method: str, setting: str, seeds: int) -> int:

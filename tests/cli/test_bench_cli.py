@@ -110,4 +110,6 @@ def test_options_of_a_job_are_those_of_the_command(tmp_path):
     assert words == (
         "--overwrite --method uncle --track --no-color --sensors sl sgm --seed 3 --device cpu --set a=1 --set b=2"
     )
+    paper_words = " ".join(paper.map_options(job._replace(method="nice-slam"), choice))
+    assert paper_words.endswith("--set nice.color=false --set a=1 --set b=2")  # nothing of colour, as in the paper
     assert "--hold-out 10" in " ".join(paper.map_options(job._replace(hold_out=10), choice))
