@@ -159,7 +159,7 @@ class _Along(torch.autograd.Function):
         if ctx.stage == "color":
             of_colors = of_colors.reshape(-1, 3)
             if any(ctx.needs_input_grad[6:]):
-                gradients.learn_colors(ctx.visible, of_colors)
+                gradients.learn_colors(ctx.visible, ctx.decoder, of_colors)
             else:
                 gradients.add_colors(ctx.visible, ctx.opened, ctx.decoder, of_colors)
         return None, None, *gradients.collected()
@@ -208,21 +208,16 @@ class Gradients:
 
         self.evaluate.workers.share(back, list(zip(visible, opened, strict=True)))
 
-    def learn_colors(self, visible: tuple[Tensor, ...], given: Tensor) -> None:
-        """The same with a decoder that learns: PyTorch goes through it once more."""
+    def learn_colors(self, visible: tuple[Tensor, ...], decoder: FrozenDecoder, given: Tensor) -> None:
+        """The same with a decoder that learns."""
         self._open(("color",))
-        decoder, grid = self.evaluate.scene.color_decoder, self.evaluate.grid("color")
-        learns = list(decoder.parameters())
+        grid = self.evaluate.grid("color")
 
-        def back(worker: int, samples: Tensor) -> tuple[Tensor, ...]:
+        def back(worker: int, samples: Tensor) -> list[Tensor]:
             points = self.points.view(-1, 3)[samples]
-            features, places = grid.lookup(points).requires_grad_(), points.clone().requires_grad_(self.wanted[0])
-            with torch.enable_grad():
-                colors = decoder(places, features)[:, :3]
-            wanted = [features, *learns, *([places] if self.wanted[0] else [])]
-            of_features, *rest = torch.autograd.grad(colors, wanted, given[samples])
-            self._pass_on(worker, "color", samples, points, of_features, rest.pop() if self.wanted[0] else None)
-            return tuple(rest)
+            of_features, of_points, learned = decoder.learn(points, grid.lookup(points), given[samples])
+            self._pass_on(worker, "color", samples, points, of_features, of_points)
+            return learned
 
         parts = self.evaluate.workers.share(back, visible)
         self.weights = [torch.stack(column).sum(0) for column in zip(*parts, strict=True)]

@@ -6,6 +6,8 @@ The same numbers as `Decoder`, which the tests hold it against.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 import torch
 from torch import Tensor
 
@@ -20,7 +22,9 @@ class FrozenDecoder:
 
     def __init__(self, decoder: Decoder, outputs: int = 1) -> None:
         weights = [layer.weight.detach() for layer in decoder.hidden]
-        shifts = [layer.bias.detach() for layer in decoder.injection]  # carried on into the biases of the next layer
+        self.shifts = shifts = [
+            layer.bias.detach() for layer in decoder.injection
+        ]  # carried on into the biases of the next layer
         weights[SKIP], skipped = weights[SKIP][:, EMBEDDING:].contiguous(), weights[SKIP][:, :EMBEDDING]
         biases = [layer.bias.detach() for layer in decoder.hidden]
         self.biases = [biases[0], *(b + w @ u for b, w, u in zip(biases[1:], weights[1:], shifts, strict=False))]
@@ -37,39 +41,84 @@ class FrozenDecoder:
 
     def values(self, points: Tensor, features: Tensor) -> tuple[Tensor, Tensor]:
         """points (N, 3), features (N, C) -> outputs (N, O), and the open ReLUs (5, N, 32) uint8 for `gradients`."""
+        _, states, opened = self._forward(points, features)
+        return torch.addmm(self.output_bias, states[-1], self.output.T), opened
+
+    def gradients(self, opened: Tensor, of_values: Tensor, points: Tensor | None) -> tuple[Tensor, Tensor | None]:
+        """From that of the outputs (N, O): gradient of the first 32 features (N, 32); of the points (N, 3), where they
+        are given, through the embedding alone."""
+        of_features = torch.zeros(len(of_values), CHANNELS)
+        of_entry = torch.empty(len(of_values), 2 * WIDTH)
+        for layer, of_state, of_inner in self._backward(opened, of_values):
+            of_features.addmm_(of_state, self.injections_back[layer])
+            if points is not None and layer in (0, SKIP):
+                _half(of_entry, layer).copy_(of_inner)
+        if points is None:
+            return of_features, None
+        return of_features, torch.mm(self._of_angles(points, of_entry), self.embedding.T)
+
+    def learn(self, points: Tensor, features: Tensor, of_values: Tensor) -> tuple[Tensor, Tensor, list[Tensor]]:
+        """From that of the outputs: gradient of the features (N, 32), of the points through the embedding (N, 3), and
+        of all that is learned, in the order of `Decoder.parameters`, which has four outputs for our three."""
+        embedded, states, opened = self._forward(points, features)
+        of_features, of_entry = torch.zeros(len(points), CHANNELS), torch.empty(len(points), 2 * WIDTH)
+        hidden: list[Tensor] = []
+        injected: list[Tensor] = []
+        for layer, of_state, of_inner in self._backward(opened, of_values):
+            of_features.addmm_(of_state, self.injections_back[layer])
+            injected[:0] = [of_state.T @ features, of_state.sum(0)]
+            of_bias, of_weight = of_inner.sum(0), None
+            if layer:
+                of_weight = of_inner.T @ states[layer - 1] + of_bias[:, None] * self.shifts[layer - 1]
+            if layer in (0, SKIP):
+                _half(of_entry, layer).copy_(of_inner)
+                of_skipped = of_inner.T @ embedded
+                of_weight = of_skipped if of_weight is None else torch.cat([of_skipped, of_weight], 1)
+            hidden[:0] = [of_weight, of_bias]
+        of_angles = self._of_angles(points, of_entry)
+        of_bias = of_values.sum(0)
+        of_output = of_values.T @ states[-1] + of_bias[:, None] * self.shifts[-1]
+        silent = torch.zeros(1, WIDTH)
+        output = [torch.cat([of_output, silent]), torch.cat([of_bias, silent[0, :1]])]
+        learned = [points.T @ of_angles, *hidden, *injected, *output]
+        return of_features, torch.mm(of_angles, self.embedding.T), learned
+
+    def _forward(self, points: Tensor, features: Tensor) -> tuple[Tensor, list[Tensor], Tensor]:
+        """The embedding (N, 93), the state (N, 32) after each layer, less its shift, and the open ReLUs."""
         angles = torch.mm(points, self.embedding)
         embedded = torch.empty_like(angles)  # the compiled loop is only quick between two arrays
         kernels.sine(angles.view(-1).numpy(), embedded.view(-1).numpy())
         entry = torch.addmm(self.entry_bias, embedded, self.entry)
         opened = torch.empty(LAYERS, len(points), WIDTH, dtype=torch.uint8)
-        state = entry[:, :WIDTH].contiguous()
+        states = [entry[:, :WIDTH].contiguous()]
         for layer in range(LAYERS):
             if layer:
                 start = entry[:, WIDTH:] if layer == SKIP else self.biases[layer]
-                state = torch.addmm(start, state, self.forth[layer])
-            kernels.rectify(state.view(-1).numpy(), opened[layer].view(-1).numpy())
-            state.addmm_(features, self.injections[layer])
-        return torch.addmm(self.output_bias, state, self.output.T), opened
+                states.append(torch.addmm(start, states[-1], self.forth[layer]))
+            kernels.rectify(states[-1].view(-1).numpy(), opened[layer].view(-1).numpy())
+            states[-1].addmm_(features, self.injections[layer])
+        return embedded, states, opened
 
-    def gradients(self, opened: Tensor, of_values: Tensor, points: Tensor | None) -> tuple[Tensor, Tensor | None]:
-        """From that of the outputs (N, O): gradient of the first 32 features (N, 32); of the points (N, 3), where they
-        are given, through the embedding alone."""
+    def _backward(self, opened: Tensor, of_values: Tensor) -> Iterator[tuple[int, Tensor, Tensor]]:
+        """From the last layer to the first: its number, the gradient (N, 32) of its state, and that before its ReLU.
+
+        They hold until the next step.
+        """
         state = torch.mm(of_values, self.output)
-        of_features = torch.mm(state, self.injections_back[-1])
-        of_entry = torch.empty(len(of_values), 2 * WIDTH) if points is not None else None
         gated = torch.empty_like(state)
         for layer in range(LAYERS - 1, -1, -1):
-            if layer == 0 and of_entry is None:
-                break
             kernels.gate(state.view(-1).numpy(), opened[layer].view(-1).numpy(), gated.view(-1).numpy())
-            if of_entry is not None and layer in (0, SKIP):
-                of_entry[:, WIDTH * (layer > 0) : WIDTH * (1 + (layer > 0))] = gated
+            yield layer, state, gated
             if layer:
                 torch.mm(gated, self.back[layer], out=state)
-                of_features.addmm_(state, self.injections_back[layer - 1])
-        if points is None:
-            return of_features, None
+
+    def _of_angles(self, points: Tensor, of_entry: Tensor) -> Tensor:
+        """Gradient (N, 93) of the angles from that (N, 64) of what the embedding gives to the layers."""
         angles = torch.mm(points, self.embedding)
         slopes = torch.empty_like(angles)
         kernels.cosine(angles.view(-1).numpy(), slopes.view(-1).numpy())
-        return of_features, torch.mm(torch.mm(of_entry, self.entry.T).mul_(slopes), self.embedding.T)
+        return torch.mm(of_entry, self.entry.T).mul_(slopes)
+
+
+def _half(of_entry: Tensor, layer: int) -> Tensor:
+    return of_entry[:, WIDTH:] if layer else of_entry[:, :WIDTH]

@@ -161,6 +161,20 @@ def test_a_frozen_decoder_is_the_decoder(make, outputs):
     assert frozen.gradients(opened, given, None)[1] is None
 
 
+def test_a_decoder_that_learns():
+    decoder = color_decoder(torch.Generator().manual_seed(1))
+    generator = torch.Generator().manual_seed(2)
+    points = torch.randn(60, 3, generator=generator).requires_grad_()
+    features = torch.randn(60, 32, generator=generator).requires_grad_()
+    given = torch.randn(60, 3, generator=generator)
+    inputs = (features, points, *decoder.parameters())
+    expected = torch.autograd.grad(decoder(points, features)[:, :3], inputs, given)
+    of_features, of_points, learned = FrozenDecoder(decoder, 3).learn(points.detach(), features.detach(), given)
+    for ours, theirs in zip([of_features, of_points, *learned], expected, strict=True):
+        assert ours.shape == theirs.shape
+        close(ours, theirs, 1e-4)
+
+
 def test_sine_and_cosine():
     angles = np.concatenate([np.linspace(-1500, 1500, 100_001), [0.0]]).astype(np.float32)
     for kernel, exact in ((kernels.sine, np.sin), (kernels.cosine, np.cos)):
