@@ -46,6 +46,7 @@ class Mapper:
         self.log = FusionLog()  # used while poses can still change
         self.said = dict.fromkeys(sensors, 0.0)  # weight of all readings of each sensor in the map
         self.witness = ColorWitness(camera, config.color, config.uncertainty, config.seed)
+        self._surface: MapSurface | None = None  # until something is fused
         self.health = SensorHealth(camera, sensors, config.health, poses_given=not config.tracking.enabled)
 
     # --- one frame ---------------------------------------------------------------------------------------------
@@ -89,7 +90,7 @@ class Mapper:
         noise: dict[str, NoiseModel],
         take_out_of: int | None = None,
     ) -> dict[str, Tensor]:
-        color = frame.color.to(self.device)
+        color, self._surface = frame.color.to(self.device), None
         betas = {}
         for sensor, depth in frame.depths.items():
             depth, weight, free_space = depth.to(self.device), None, None
@@ -117,6 +118,7 @@ class Mapper:
     def forget_readings(self) -> None:
         """Empty the map for another sweep; keep its blocks and what was learned."""
         self.volume.reset()
+        self._surface = None
         self.said = dict.fromkeys(self.sensors, 0.0)
 
     def _weights(self, beta: Tensor, valid: Tensor) -> tuple[Tensor, FreeSpace]:
@@ -153,7 +155,9 @@ class Mapper:
         if not self.volume.grid.rows or not self.config.health.enabled:
             return frame
         rays = self.health.rays.to(self.device) @ T_world_camera[:3, :3].T
-        predicted = self.surface().cast(T_world_camera[:3, 3].repeat(len(rays), 1), rays)
+        if self._surface is None:
+            self._surface = self.surface()
+        predicted = self._surface.cast(T_world_camera[:3, 3].repeat(len(rays), 1), rays)
         return self.health.compare(frame, predicted.cpu(), self.volume.max_depth_m)
 
     # --- the whole map -----------------------------------------------------------------------------------------
@@ -272,7 +276,7 @@ class Mapper:
 
 def _typical(weight: Tensor, valid: Tensor) -> float:
     """Median weight (H, W) of the `valid` readings, of evenly spread ones where there are many; 0 if there is none."""
-    chosen = weight[valid].cpu().numpy()
-    chosen = chosen[:: 1 + len(chosen) // _ENOUGH_READINGS]
+    stride = 1 + weight.numel() // _ENOUGH_READINGS | 1  # odd: not the same columns of each row
+    chosen = weight.view(-1)[::stride][valid.view(-1)[::stride]].cpu().numpy()
     middle = (len(chosen) - 1) // 2
     return float(np.partition(chosen, middle)[middle]) if len(chosen) else 0.0

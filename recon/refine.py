@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
+from .adam import Adam
 from .config import FieldConfig
 from .events import OnEvent, ignore, track_progress
 from .field import NeuralField
@@ -70,30 +71,22 @@ def refine(
     usable = (surface > 0).nonzero()[:, 0]
     if len(usable) == 0:
         return []
-    optimizer = _optimizer(field, config)
-    rates = [group["lr"] for group in optimizer.param_groups]
+    fine, coarse = Adam([field.fine]), Adam([*field.levels.parameters(), *field.decoder.parameters()])
     losses = []
     steps = range(config.iterations)
     for step in track_progress(steps, config.iterations, "refining the field", on_event, "steps"):
-        for group, rate in zip(optimizer.param_groups, rates, strict=True):
-            group["lr"] = rate * _FINAL_RATE ** (step / config.iterations)
         batch = usable[torch.randint(len(usable), (config.rays,), generator=generator).to(usable.device)]
         loss, likelihood = _loss(
             field, rays, noise, config, batch, _sample_depths(field, surface[batch], config, generator)
         )
-        optimizer.zero_grad(set_to_none=True)
+        for optimizer in (fine, coarse):
+            optimizer.zero_grad()
         loss.backward()
-        optimizer.step()
+        slower = _FINAL_RATE ** (step / config.iterations)
+        fine.step(config.learning_rate_sdf_m * slower)
+        coarse.step(config.learning_rate * slower)
         losses.append(float(likelihood))
     return losses
-
-
-def _optimizer(field: NeuralField, config: FieldConfig) -> torch.optim.Adam:
-    groups = [
-        {"params": [field.fine], "lr": config.learning_rate_sdf_m},
-        {"params": [*field.levels.parameters(), *field.decoder.parameters()], "lr": config.learning_rate},
-    ]
-    return torch.optim.Adam(groups)
 
 
 def _sample_depths(field: NeuralField, surface: Tensor, config: FieldConfig, generator: torch.Generator) -> Tensor:

@@ -10,6 +10,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn.functional import linear, softplus
 
+from .adam import Adam
 from .config import UncertaintyConfig
 from .errors import ConfigError
 from .losses import interval_loss, laplace_nll
@@ -62,7 +63,7 @@ class PixelNetwork(nn.Module):
                 layer.bias.zero_()
             self.layers[-1].weight.mul_(0.1)
             self.layers[-1].bias[0] = math.log(math.expm1(START_BETA_M))
-        self.optimizer = torch.optim.Adam(self.parameters(), config.learning_rate)
+        self.optimizer = Adam(self.parameters())
 
     def scale_and_offset(self, features: Tensor) -> tuple[Tensor, Tensor | float]:
         """(N, F) -> Laplace scale (N,) and middle (N,) of what is to be expected, metres."""
@@ -99,10 +100,9 @@ class PixelNetwork(nn.Module):
             scale, offset = self.scale_and_offset(residuals.features[batch].float())
             misses = off[batch] - offset, torch.hypot(scale, residuals.blur[batch])
             loss = loss_of(*misses).mean()
-            self.optimizer.param_groups[0]["lr"] = self.config.learning_rate * (1 - 0.9 * step / steps)
-            self.optimizer.zero_grad(set_to_none=True)
+            self.optimizer.zero_grad()
             loss.backward()
-            self.optimizer.step()
+            self.optimizer.step(self.config.learning_rate * (1 - 0.9 * step / steps))
             nats = laplace_nll(*misses).detach().mean() if step + 1 == steps else nats
         return float(nats)
 
@@ -119,7 +119,7 @@ class NoiseModel(PixelNetwork):
     @property
     def taught(self) -> bool:
         """Whether it ever learned from residuals, here or in the recording of its prior."""
-        return self.has_prior or bool(self.optimizer.state)
+        return self.has_prior or bool(self.optimizer.moments)
 
     def forward(self, features: Tensor) -> Tensor:
         return self.scale(self.outputs(features))

@@ -13,9 +13,9 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from ..fusion import FusionVolume, Samples
-from ..grid import CORNERS
+from ..fusion import FusionVolume
 from .pose_estimation import Linearised, Term
+from .surface_lookup import look_compiled, look_tensors
 
 SHARE = 0.05  # how much of its information a residual counts: neighbours share most of their error
 COLOR_SIGMA = 0.08  # of 0..1: what colours of the map and of a frame differ by
@@ -58,19 +58,16 @@ def surface_term(volume: FusionVolume, readings: Readings, share: float = SHARE,
 def surface_residuals(volume: FusionVolume, readings: Readings, pose: np.ndarray) -> tuple[Tensor, Tensor]:
     """Whitened residuals (K,) of distance, then of colour, where the map is known, and their derivatives (K, 6)."""
     T = torch.tensor(pose, dtype=torch.float32, device=readings.points.device)
-    world = readings.points @ T[:3, :3].T + T[:3, 3]
-    corners, weights, slopes, kept = _known_cells(volume, world)
-    points = readings.points[kept]
-    sdf, gradient = _interpolated(corners.sdf, weights, slopes)
-    along = (gradient * (readings.directions[kept] @ T[:3, :3].T)).sum(-1)
-    map_sigma = (corners.sigma * weights).sum(-1)
-    sigma = readings.scale * (2 * (readings.beta[kept] * along) ** 2 + map_sigma**2).sqrt()
-    residuals, slopes_world = [sdf / sigma], [gradient / sigma[:, None]]
+    look = look_compiled if T.device.type == "cpu" else look_tensors
+    seen = look(volume, readings.points, T)
+    points = readings.points[seen.kept]
+    along = (seen.gradient * (readings.directions[seen.kept] @ T[:3, :3].T)).sum(-1)
+    sigma = readings.scale * (2 * (readings.beta[seen.kept] * along) ** 2 + seen.sigma**2).sqrt()
+    residuals, slopes_world = [seen.sdf / sigma], [seen.gradient / sigma[:, None]]
     if readings.grey is not None:
-        value, change = _interpolated(corners.colors.mean(-1), weights, slopes)
-        off = value - readings.grey[kept]
+        off = seen.grey - readings.grey[seen.kept]
         residuals.append((off - off.median() if len(off) else off) / COLOR_SIGMA)  # exposure changes
-        slopes_world.append(change / COLOR_SIGMA)
+        slopes_world.append(seen.grey_gradient / COLOR_SIGMA)
         points = torch.cat([points, points])
     d_camera = torch.cat(slopes_world) @ T[:3, :3]
     return torch.cat(residuals), torch.cat([d_camera, torch.linalg.cross(points, d_camera)], 1)
@@ -99,26 +96,5 @@ def agreement(volume: FusionVolume, readings: Readings, pose: np.ndarray) -> tup
 def distances(volume: FusionVolume, readings: Readings, pose: np.ndarray) -> tuple[Tensor, Tensor]:
     """How far readings lie from the surface, (K,) metres, where the map is known, and which (K,) they are."""
     T = torch.tensor(pose, dtype=torch.float32, device=readings.points.device)
-    corners, weights, _, kept = _known_cells(volume, readings.points @ T[:3, :3].T + T[:3, 3])
-    return (corners.sdf * weights).sum(-1).abs(), kept
-
-
-def _known_cells(volume: FusionVolume, world: Tensor) -> tuple[Samples, Tensor, Tensor, Tensor]:
-    """For the points (N, 3) in cells that are known: their corners and weights (K, 8), slopes (K, 8, 3) of the weights,
-    and which (K,) they are."""
-    rows, weights = volume.grid.trilinear(world)
-    known = (rows >= 0) & (volume.sums[rows.clamp(min=0), 3] >= 1)
-    kept = known.all(1).nonzero()[:, 0]
-    corners = CORNERS.to(world.device)
-    part = world[kept] / volume.grid.voxel_size_m
-    part = part - part.floor()
-    along = torch.where(corners.bool(), part[:, None], 1 - part[:, None])  # (K, 8, 3)
-    sign = (2.0 * corners - 1) / volume.grid.voxel_size_m
-    x, y, z = along.unbind(-1)
-    slopes = torch.stack([y * z, x * z, x * y], -1) * sign
-    return volume.samples(rows[kept]), weights[kept], slopes, kept
-
-
-def _interpolated(values: Tensor, weights: Tensor, slopes: Tensor) -> tuple[Tensor, Tensor]:
-    """values (K, 8) at the corners -> value (K,) and gradient (K, 3)."""
-    return (values * weights).sum(-1), (values[..., None] * slopes).sum(1)
+    seen = look_tensors(volume, readings.points, T)
+    return seen.sdf.abs(), seen.kept

@@ -85,3 +85,21 @@ def test_slopes_and_texture_have_their_axes():
     features = noise_features(**picture(across), camera=CAMERA)
     assert column(features, "slope_x")[24, 32] < -0.05
     assert float(column(features, "slope_y")[24, 32]) == pytest.approx(0, abs=1e-3)
+
+
+@pytest.mark.parametrize("window", [3, 7, 15])
+def test_summary_of_a_neighbourhood_with_holes(window):
+    depth = random_depth()
+    features = noise_features(**picture(depth), camera=CAMERA)
+    reach = window // 2
+    for row, line in ((24, 30), (20, 41)):
+        around = depth[row - reach : row + reach + 1, line - reach : line + reach + 1].double()
+        inverse = 1 / around[around > 0]
+        own = 1 / float(depth[row, line]) if depth[row, line] > 0 else 0.0
+        expected = {
+            "spread": np.log10(float(inverse.std(unbiased=False)) + 1e-4) + 2.5,
+            "offset": np.clip(20 * (own - float(inverse.mean())), -3, 3),
+            "holes": float((around == 0).double().mean()),
+        }
+        for kind, value in expected.items():
+            assert float(column(features, f"{kind}_{window}")[row, line]) == pytest.approx(value, abs=2e-3)

@@ -18,6 +18,7 @@ from uncle.recon.tracking.surface_alignment import (
     surface_residuals,
     surface_term,
 )
+from uncle.recon.tracking.surface_lookup import look_compiled, look_tensors
 
 CORNER = 0.785  # the angle at which the camera sees a corner of the room
 OFF = np.array([0.02, -0.015, 0.025, 0.008, -0.01, 0.006])
@@ -148,3 +149,19 @@ def test_agreement_and_scale(box_room, corner):
     assert scaled(corner, taken, true).scale == pytest.approx(expected)
     assert scaled(corner, taken, off).scale == 1.0  # never larger
     assert scaled(corner, nothing, true) is nothing
+
+
+def test_compiled_lookup_is_that_of_tensors(box_room, corner):
+    pose = box_room.pose(CORNER)
+    points = readings(box_room, pose, color=False, step=3).points
+    points = points + 0.1 * torch.randn(
+        points.shape, generator=torch.Generator().manual_seed(2)
+    )  # some are off the map
+    T = torch.from_numpy(moved(pose, OFF)).float()
+    expected, found = look_tensors(corner, points, T), look_compiled(corner, points, T)
+    assert 100 < len(expected.kept) < len(points) - 20
+    assert torch.equal(found.kept, expected.kept)
+    for name in ("sdf", "gradient", "sigma", "grey", "grey_gradient"):
+        torch.testing.assert_close(getattr(found, name), getattr(expected, name), rtol=1e-3, atol=2e-4)
+    nothing = look_compiled(corner, points[:0], T)
+    assert len(nothing.kept) == len(nothing.sdf) == 0

@@ -1,0 +1,124 @@
+"""What the map shows at points between its samples: distance, certainty and colour, with their gradients."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from numba import njit
+from torch import Tensor
+
+from ..fusion import MIN_SIGMA_M, SHARED_ERROR, FusionVolume
+from ..grid import CORNERS, row_of
+
+_COLUMNS = 9  # of what the compiled loop finds: sdf, gradient, sigma, grey, its gradient
+
+
+@dataclass(frozen=True)
+class Seen:
+    """Of the K points that lie where the map is known, `kept` (K,) int64: sdf and sigma (K,) metres, gradient (K, 3),
+    grey (K,) 0..1 and its gradient (K, 3) in 1 / metres."""
+
+    kept: Tensor
+    sdf: Tensor
+    gradient: Tensor
+    sigma: Tensor
+    grey: Tensor
+    grey_gradient: Tensor
+
+
+def look_compiled(volume: FusionVolume, points: Tensor, T_world_points: Tensor) -> Seen:
+    """The map at points (N, 3), on the CPU. The same as `look_tensors`, in one pass."""
+    found, kept = np.empty((len(points), _COLUMNS), np.float32), np.empty(len(points), np.int64)
+    tables = (volume.sums.numpy(), volume.color_sums.numpy(), *volume.grid.lookup())
+    where = (points.numpy(), T_world_points[:3, :3].numpy(), T_world_points[:3, 3].numpy())
+    count = _look(*where, *tables, volume.grid.voxel_size_m, SHARED_ERROR, MIN_SIGMA_M, found, kept)
+    values = torch.from_numpy(found[:count])
+    sdf, gradient, sigma, grey, slope = values.split([1, 3, 1, 1, 3], 1)
+    return Seen(torch.from_numpy(kept[:count]), sdf[:, 0], gradient, sigma[:, 0], grey[:, 0], slope)
+
+
+def look_tensors(volume: FusionVolume, points: Tensor, T_world_points: Tensor) -> Seen:
+    """The map at points (N, 3) on any device, as plain tensor operations; the oracle of the compiled loop."""
+    world = points @ T_world_points[:3, :3].T + T_world_points[:3, 3]
+    rows, weights = volume.grid.trilinear(world)
+    known = (rows >= 0) & (volume.sums[rows.clamp(min=0), 3] >= 1)
+    kept = known.all(1).nonzero()[:, 0]
+    corners, weights = CORNERS.to(world.device), weights[kept]
+    part = world[kept] / volume.grid.voxel_size_m
+    part = part - part.floor()
+    along = torch.where(corners.bool(), part[:, None], 1 - part[:, None])  # (K, 8, 3)
+    x, y, z = along.unbind(-1)
+    slopes = torch.stack([y * z, x * z, x * y], -1) * (2.0 * corners - 1) / volume.grid.voxel_size_m
+    samples = volume.samples(rows[kept])
+    grey = samples.colors.mean(-1)
+    sdf, gradient = _interpolated(samples.sdf, weights, slopes)
+    return Seen(kept, sdf, gradient, (samples.sigma * weights).sum(-1), *_interpolated(grey, weights, slopes))
+
+
+def _interpolated(values: Tensor, weights: Tensor, slopes: Tensor) -> tuple[Tensor, Tensor]:
+    """values (K, 8) at the corners -> value (K,) and gradient (K, 3)."""
+    return (values * weights).sum(-1), (values[..., None] * slopes).sum(1)
+
+
+@njit(nogil=True, cache=True)
+def _look(
+    points, rotation, shift, sums, color_sums, volume, origin, voxel, shared_error, least_sigma, found, kept
+):  # fmt: skip
+    """Fills `found` (N, _COLUMNS) and `kept` (N,); returns how many points are known."""
+    count, rows, place = 0, np.empty(8, np.int64), np.empty(3)
+    for point in range(len(points)):
+        for axis in range(3):
+            place[axis] = shift[axis]
+            for other in range(3):
+                place[axis] += rotation[axis, other] * points[point, other]
+        if not _corners(place, voxel, sums, volume, origin, rows):
+            continue
+        kept[count] = point
+        _blend(place, voxel, rows, sums, color_sums, shared_error, least_sigma, found[count])
+        count += 1
+    return count
+
+
+@njit(nogil=True, cache=True, inline="always")
+def _corners(place, voxel, sums, volume, origin, rows):
+    """The rows of the samples around `place`, which becomes its place between them, 0..1; whether all are known."""
+    i, j, k = (np.int64(np.floor(place[0] / voxel)), np.int64(np.floor(place[1] / voxel)),
+               np.int64(np.floor(place[2] / voxel)))  # fmt: skip
+    place[0], place[1], place[2] = place[0] / voxel - i, place[1] / voxel - j, place[2] / voxel - k
+    for corner in range(8):
+        row = row_of(i + (corner >> 2), j + ((corner >> 1) & 1), k + (corner & 1), volume, origin)
+        if row < 0 or sums[row, 3] < 1:
+            return False
+        rows[corner] = row
+    return True
+
+
+@njit(nogil=True, cache=True, inline="always")
+def _blend(part, voxel, rows, sums, color_sums, shared_error, least_sigma, result):
+    result[:] = 0
+    for corner in range(8):
+        row = rows[corner]
+        x = part[0] if corner >> 2 else 1 - part[0]
+        y = part[1] if (corner >> 1) & 1 else 1 - part[1]
+        z = part[2] if corner & 1 else 1 - part[2]
+        weight = max(sums[row, 0], 1e-12)
+        sdf = sums[row, 1] / weight
+        spread = max(sums[row, 2] / weight - sdf * sdf, 0.0)
+        sigma = np.sqrt(spread * (shared_error + (1 - shared_error) / max(sums[row, 3], 1.0)))
+        seen = color_sums[row, 0]
+        shade = color_sums[row, 1] + color_sums[row, 2] + color_sums[row, 3]
+        grey = shade / (3 * 255.0 * seen) if seen > 0 else 0.5
+        a = y * z * (1 if corner >> 2 else -1) / voxel
+        b = x * z * (1 if (corner >> 1) & 1 else -1) / voxel
+        c = x * y * (1 if corner & 1 else -1) / voxel
+        result[0] += x * y * z * sdf
+        result[1] += a * sdf
+        result[2] += b * sdf
+        result[3] += c * sdf
+        result[4] += x * y * z * max(sigma, least_sigma)
+        result[5] += x * y * z * grey
+        result[6] += a * grey
+        result[7] += b * grey
+        result[8] += c * grey
