@@ -26,6 +26,7 @@ class Calibration:
     color_camera        of the colour images where another camera took them; None: they are registered to depth
     T_color_depth       (4, 4) from the axes of `camera` to those of `color_camera`, metres; None without the latter
     color_distortion    of the colour images of `color_camera`; `distortion` is of the depth images alone then
+    registration_sigma_px  how far colour may lie beside the depth it belongs to, by an error that all frames share
     """
 
     camera: Camera
@@ -34,6 +35,7 @@ class Calibration:
     color_camera: Camera | None = None
     T_color_depth: np.ndarray | None = None
     color_distortion: tuple[float, ...] = ()
+    registration_sigma_px: float = 0.0
 
 
 class CameraFields(BaseModel):
@@ -67,6 +69,7 @@ class CameraFile(CameraFields):
     timestamps: str | None = None
     color_camera: CameraFields | None = None
     T_color_depth: tuple[tuple[float, ...], ...] | None = None
+    registration_sigma_px: float = Field(default=0.0, ge=0, allow_inf_nan=False)
 
     @field_validator("T_color_depth")
     @classmethod
@@ -107,7 +110,12 @@ class CameraFile(CameraFields):
 
     def calibration(self, depth_units_per_m: float = 1000.0) -> Calibration:
         """The calibration stated here; `depth_units_per_m` holds where the file names no scale."""
-        calibration = Calibration(self.camera, self.depth_scale or depth_units_per_m, self.distortion)
+        calibration = Calibration(
+            self.camera,
+            self.depth_scale or depth_units_per_m,
+            self.distortion,
+            registration_sigma_px=self.registration_sigma_px,
+        )
         if self.color_camera is None:
             return calibration
         return replace(

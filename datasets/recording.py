@@ -79,6 +79,11 @@ class FileRecording:
     def camera(self) -> Camera:
         return self._calibration.camera.cropped(self._margin)
 
+    @property
+    def registration_sigma_px(self) -> float:
+        """How far colour may lie beside the depth it belongs to, by an error that all frames share; pixels."""
+        return self._calibration.registration_sigma_px
+
     def __len__(self) -> int:
         return len(self._entries)
 

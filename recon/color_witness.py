@@ -27,6 +27,7 @@ FULL_SIZE_PIXELS = 200_000  # larger images are halved: finer pixels than the ma
 SAMPLES = 4000  # pixels of a view that teach
 MIN_ONLOOKERS = 3
 CONFIRMED_SHARE = 3.0  # depth errs alike in neighbouring frames, colour that is known to be exact does not
+MAX_REGISTRATION_PX = 1.0  # colour that lies further beside its depth is not heard: twice the step of the search
 _STATE = ("frames", "indices", "poses", "depths", "betas", "testimony", "share")
 TESTIMONY = 3000  # pixels of a view that the sensors' models learn from
 

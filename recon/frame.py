@@ -42,6 +42,7 @@ class Recording(Protocol):
     has_poses: bool
     has_timestamps: bool
     reference_mesh: Path | None  # ground-truth surface in the recording's world frame
+    registration_sigma_px: float  # how far colour may lie beside its depth, by an error that all frames share
     notes: tuple[str, ...]  # facts a user should hear once: a default intrinsic, dropped frames
 
     def __len__(self) -> int: ...

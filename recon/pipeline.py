@@ -13,6 +13,7 @@ import torch
 from torch import Tensor
 
 from .checkpoint import Checkpoint
+from .color_witness import MAX_REGISTRATION_PX
 from .config import MapConfig
 from .device import choose_device
 from .errors import DataError
@@ -126,7 +127,7 @@ def choose_tracker(frames: RunFrames, config: MapConfig, mapper: Mapper | None) 
         return GivenPoses()
     noise = [mapper.noise[s] if mapper else None for s in frames.sensors]
     volume = mapper.volume if mapper else None
-    return AlignTracker(frames.camera, config.tracking, config.seed, noise, volume)
+    return AlignTracker(frames.camera, config.tracking, config.seed, noise, volume, frames.registration_sigma_px)
 
 
 def _explore(view: View, frames: RunFrames, mapper: Mapper, tracker: Tracker, progress: Progression) -> None:
@@ -227,6 +228,10 @@ def _hear_colors(frames: RunFrames, mapper: Mapper, progress: Progression, on_ev
     """Ask colour, around the surface of the exploration, where it is; heard in the sweeps that follow."""
     config = mapper.config
     if not (config.color.enabled and config.uncertainty.enabled and config.fusion.sweeps):
+        return
+    if frames.registration_sigma_px > MAX_REGISTRATION_PX:
+        off = f"{frames.registration_sigma_px:g} px"
+        on_event(Note(f"colour may lie {off} beside its depth, so it does not say where the surface is"))
         return
     poses = {index: np.array(pose) for index, pose in progress.poses.items()}
     loss = mapper.witness.look(frames, poses, mapper.surface(), on_event)

@@ -242,6 +242,7 @@ def _manifest(
         sensors=sensors,
         has_timestamps=recording.has_timestamps,
         reference_mesh=str(recording.reference_mesh.resolve()) if recording.reference_mesh else None,
+        registration_sigma_px=recording.registration_sigma_px,
         skipped={key: reason for result in results for key, reason in result.skipped.items()},
     )
 

@@ -11,6 +11,7 @@ from typing import TypeVar
 import cv2
 import numpy as np
 import torch
+from numba import njit
 from torch import Tensor
 
 from .camera import Camera
@@ -30,6 +31,7 @@ class RunFrames:
         run.require_stage("preprocess")
         self.run = run
         self.camera: Camera = run.camera
+        self.registration_sigma_px = manifest.registration_sigma_px
         self.sensors: tuple[str, ...] = tuple(sensors) if sensors is not None else manifest.sensors
         try:
             self.records = [FrameRecord.model_validate(row) for row in json.loads(run.frames_path.read_text())]
@@ -100,6 +102,17 @@ def encode_normals(normals: np.ndarray) -> np.ndarray:
 
 def decode_normals(image: np.ndarray) -> Tensor:
     """The inverse of `encode_normals`, renormalised (quantisation costs about 0.5 degrees)."""
-    known = torch.from_numpy(image[..., :1] != 0)  # every channel of a known normal is at least 1
-    vectors = (torch.from_numpy(image).float() - 128.0) * known
-    return torch.nn.functional.normalize(vectors, dim=-1, eps=1e-6)
+    normals = np.empty(image.shape, np.float32)
+    _decode(image.reshape(-1, 3), normals.reshape(-1, 3))
+    return torch.from_numpy(normals)
+
+
+@njit(nogil=True, cache=True)
+def _decode(picture, normals):
+    for pixel in range(len(picture)):
+        known = np.float32(picture[pixel, 0] != 0)  # every channel of a known normal is at least 1
+        x = np.float32(picture[pixel, 0]) - np.float32(128)
+        y = np.float32(picture[pixel, 1]) - np.float32(128)
+        z = np.float32(picture[pixel, 2]) - np.float32(128)
+        scale = known / max(np.sqrt(x * x + y * y + z * z), np.float32(1e-6))
+        normals[pixel, 0], normals[pixel, 1], normals[pixel, 2] = x * scale, y * scale, z * scale

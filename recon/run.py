@@ -54,6 +54,7 @@ class Manifest(BaseModel):
     sensors: tuple[str, ...]
     has_timestamps: bool
     reference_mesh: str | None = None
+    registration_sigma_px: float = 0.0  # how far colour may lie beside its depth, by an error that all frames share
     skipped: dict[str, str] = {}  # "source index[/sensor]" -> reason
     stages: dict[str, StageRecord] = {}
 

@@ -64,9 +64,10 @@ class AlignTracker:
         seed: int,
         noise: Sequence[NoiseModel | None] = (),
         volume: FusionVolume | None = None,
+        registration_sigma_px: float = 0.0,
     ) -> None:
         self.camera, self.config, self.seed = camera, config, seed
-        self.noise, self.volume = noise, volume
+        self.noise, self.volume, self.registration_sigma_px = noise, volume, registration_sigma_px
         self.graph = KeyframeGraph(camera, seed)
         self.frames: list[TrackedFrame] = []
         self._velocity = np.eye(4)
@@ -84,7 +85,7 @@ class AlignTracker:
         `noise_features` (H, W, F) by sensor, as the noise models take them; nothing if the uncertainty is not learned.
         """
         features = prepared.features
-        sighting = sight(frame, features, noise_features, self.noise, self.camera)
+        sighting = sight(frame, features, noise_features, self.noise, self.camera, self.registration_sigma_px)
         readings = self._readings(frame, noise_features)
         view = None
         if self._featureless:
@@ -124,7 +125,7 @@ class AlignTracker:
         """All frames made consistent, with what was learned about the sensors since they were seen."""
         for sighting in self.graph.sightings:
             weigh(sighting, self.noise)
-        self.graph.adjust_globally()
+        self.graph.finish()
         return self.poses()
 
     def record(self) -> TrackingRecord:
@@ -170,8 +171,7 @@ class AlignTracker:
 
     def _begun(self, frame: Frame, sighting: Sighting, readings: Readings | None) -> tuple[_Found | None, Status]:
         """The first frame that shows anything defines the world: by its given pose, else it is the origin."""
-        anchors = int((sighting.mean_depth()[0] > 0).sum())
-        if anchors < MIN_INLIERS and readings is None:
+        if (sighting.mean_depth()[0] > 0).sum() < MIN_INLIERS and readings is None:
             return None, "lost"
         nothing = np.zeros(0, np.int64)
         first = np.eye(4) if frame.T_world_camera is None else frame.T_world_camera

@@ -27,7 +27,8 @@ _MIN_Z_M = 0.05
 @dataclass(frozen=True)
 class Observations:
     """Who saw what. camera, point (M,) int64 indices; uv (M, 2) and sigma_px (M,) pixels; depths (M, S) metres,
-    0 = no reading, and sigmas_m (M, S)."""
+    0 = no reading, and sigmas_m (M, S); share_px (M,) of its information that a pixel counts: 1, less where pixels
+    share an error."""
 
     camera: np.ndarray
     point: np.ndarray
@@ -35,6 +36,7 @@ class Observations:
     sigma_px: np.ndarray
     depths: np.ndarray
     sigmas_m: np.ndarray
+    share_px: np.ndarray
 
     def __len__(self) -> int:
         return len(self.camera)
@@ -157,19 +159,21 @@ def residuals(
     return r, d_motion, d_point
 
 
-def robust_weights(r: np.ndarray) -> tuple[np.ndarray, float]:
-    """Weights (M, 2 + S) of whitened residuals and their robust cost (Cauchy); the two of a pixel are one residual."""
+def robust_weights(r: np.ndarray, share_px: np.ndarray) -> tuple[np.ndarray, float]:
+    """Weights (M, 2 + S) of whitened residuals and their robust cost (Cauchy); the two of a pixel are one residual, of
+    which a share (M,) counts."""
     squared = np.concatenate([np.repeat((r[:, :2] ** 2).sum(1, keepdims=True), 2, 1), r[:, 2:] ** 2], 1)
     scale = np.full(r.shape[1], DEPTH_SCALE**2)
     scale[:2] = PIXEL_SCALE**2
     ratio = squared / scale
-    cost = scale * np.log1p(ratio)
-    return 1 / (1 + ratio), float(cost[:, 0].sum() + cost[:, 2:].sum())
+    cost, weights = scale * np.log1p(ratio), 1 / (1 + ratio)
+    weights[:, :2] *= share_px[:, None]
+    return weights, float(cost[:, 0] @ share_px + cost[:, 2:].sum())
 
 
 def _linearise(camera, poses, points, observations, edges) -> _Linearised:
     r, d_motion, d_point = residuals(camera, poses[observations.camera], points[observations.point], observations)
-    weights, cost = robust_weights(r)
+    weights, cost = robust_weights(r, observations.share_px)
     weighted_motion, weighted_point = d_motion * weights[..., None], d_point * weights[..., None]
     transposed = np.swapaxes(weighted_motion, 1, 2)
     U = _sum_by(observations.camera, transposed @ d_motion, len(poses))

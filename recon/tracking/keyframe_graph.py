@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -13,7 +14,7 @@ from .landmarks import NONE, Landmarks, Sighting, observations_of, seen_at_least
 from .local_features import back_projected
 from .loops import Place, corrected_poses, recognise
 from .motion import angle, exceeds, inverse, transform
-from .pose_edges import PoseEdges
+from .pose_edges import Measured, edges_among
 from .view_alignment import SurfaceView, align_views
 
 LOCAL_KEYFRAMES = 8
@@ -38,7 +39,7 @@ class KeyframeGraph:
         self.sightings: list[Sighting] = []
         self.keyframes: list[int] = []
         self.views: dict[int, SurfaceView] = {}  # of the keyframes
-        self.edges: list[tuple[int, int, np.ndarray, np.ndarray]] = []  # positions, motion between views, information
+        self.edges: list[Measured] = []
         self.landmarks = Landmarks()
         self.loops: list[tuple[int, int]] = []  # earlier and later keyframe
 
@@ -91,10 +92,18 @@ class KeyframeGraph:
             return
         before = {k: self.sightings[k].pose for k in self.keyframes}
         self._adjust(cameras, self._all_but_first(cameras), iterations)
-        others = sorted(set(strong) - set(cameras))
-        if others:
+        if others := sorted(set(strong) - set(cameras)):
             self._adjust(others, np.ones(len(others), bool), 10, free_points=False)
         self._carry(before, set(strong))
+
+    def finish(self) -> None:
+        """Adjust all; where pixels share an error, then place every frame on the landmarks, which hold still."""
+        self.adjust_globally()
+        if any(s.common_px > 0 for s in self.sightings):
+            frames = [p for p in self._strong() if p != self.keyframes[0]]
+            before = {k: self.sightings[k].pose for k in self.keyframes}
+            self._adjust(frames, np.ones(len(frames), bool), 10, free_points=False)
+            self._carry(before, {*frames, self.keyframes[0]})
 
     def covariances(self) -> dict[int, np.ndarray]:
         """Covariance (6, 6) of each frame's pose, metres and radians, against the first keyframe (zero for that one),
@@ -105,7 +114,7 @@ class KeyframeGraph:
             return {}
         poses, points, observations, _ = self._seen_by(cameras, _OUTLIER)
         observations = observations[seen_at_least(observations, 2)]
-        free, edges = self._all_but_first(cameras), self._edges_among(cameras)
+        free, edges = self._all_but_first(cameras), edges_among(self.edges, cameras)
         found = covariances(self.camera, poses, points, observations, free, edges)
         nearest = np.searchsorted(cameras, strong).clip(max=len(cameras) - 1)
         return {p: found[i] for p, i in zip(strong, nearest, strict=True)}
@@ -151,17 +160,6 @@ class KeyframeGraph:
             found = align_views(self.views[other], self.views[newest], between)
             if found is not None:
                 self.edges.append((other, newest, *found))
-
-    def _edges_among(self, positions: list[int]) -> PoseEdges | None:
-        place = {p: i for i, p in enumerate(positions)}
-        inside = [edge for edge in self.edges if edge[0] in place and edge[1] in place]
-        if not inside:
-            return None
-        first, second, motions, information = zip(*inside, strict=True)
-        return PoseEdges(
-            np.array([place[p] for p in first]), np.array([place[p] for p in second]), np.stack(motions),
-            np.stack(information),
-        )  # fmt: skip
 
     def _adjust_locally(self) -> None:
         """Bundle adjustment of the newest keyframe and those that share most with it; the others hold."""
@@ -247,7 +245,9 @@ class KeyframeGraph:
         poses, points, observations, numbers = self._seen_by(positions, 3 * _OUTLIER)
         if free_points:
             observations = observations[seen_at_least(observations, 2)]
-        edges = self._edges_among(positions)
+        else:  # what pixels share cancels between a frame and those around, which place the points
+            observations = replace(observations, share_px=np.ones(len(observations)))
+        edges = edges_among(self.edges, positions)
         if len(observations) == 0 and (len(self.landmarks) or edges is None):
             return
         first = max(2, iterations // 2)

@@ -20,7 +20,7 @@ class Sighting:
     uv (N, 2) and sigma_px (N,) pixels; depths and sigmas_m (N, S) metres by sensor, depth 0 = no reading;
     edges (N, S) metres, how much depth differs between the pixels around; noise (N, S, F) what h_w sees there, so that
     sigmas can be had again from what was learned since;
-    landmark (N,) int64, NONE where the feature belongs to none.
+    landmark (N,) int64, NONE where the feature belongs to none. `common_px`: all pixels may be off together by that.
     """
 
     index: int
@@ -32,6 +32,7 @@ class Sighting:
     edges: np.ndarray
     noise: np.ndarray
     landmark: np.ndarray
+    common_px: float = 0.0
 
     def __len__(self) -> int:
         return len(self.uv)
@@ -52,7 +53,7 @@ class Sighting:
         """Features `rows` (K,) as observations of `points` (K,) by `camera`."""
         return Observations(
             np.full(len(rows), camera), points, self.uv[rows], self.sigma_px[rows], self.depths[rows],
-            self.sigmas_m[rows],
+            self.sigmas_m[rows], share_of_pixels(self.sigma_px[rows], self.common_px),
         )  # fmt: skip
 
     def to_state(self) -> dict[str, Any]:
@@ -62,6 +63,12 @@ class Sighting:
     @staticmethod
     def from_state(state: dict[str, Any]) -> Sighting:
         return Sighting(**{n: v.numpy() if isinstance(v, torch.Tensor) else v for n, v in state.items()})
+
+
+def share_of_pixels(sigma_px: np.ndarray, common_px: float) -> np.ndarray:
+    """(N,) share of its information that each pixel of a frame counts if all are off by `common_px` together: what they
+    say in common is then no surer than that, however many they are."""
+    return 1 / (1 + len(sigma_px) * (common_px / sigma_px) ** 2)
 
 
 class Landmarks:

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from .motion import cross_matrix, inverse, motion_between
+
+Measured = tuple[int, int, np.ndarray, np.ndarray]  # two frames, T_first_second (4, 4), information (6, 6)
 
 ROBUST_SCALE = 10.0  # sigmas of a whole motion; beyond, an edge loses influence (Cauchy)
 
@@ -33,6 +36,19 @@ class LinearisedEdges:
     U: np.ndarray
     g: np.ndarray
     across: np.ndarray
+
+
+def edges_among(measured: Sequence[Measured], positions: Sequence[int]) -> PoseEdges | None:
+    """What was measured between frames of `positions`, by their places in it; None if nothing was."""
+    place = {p: i for i, p in enumerate(positions)}
+    inside = [edge for edge in measured if edge[0] in place and edge[1] in place]
+    if not inside:
+        return None
+    first, second, motions, information = zip(*inside, strict=True)
+    return PoseEdges(
+        np.array([place[p] for p in first]), np.array([place[p] for p in second]), np.stack(motions),
+        np.stack(information),
+    )  # fmt: skip
 
 
 def linearise_edges(poses: np.ndarray, edges: PoseEdges) -> LinearisedEdges:

@@ -74,7 +74,7 @@ def feature_term(camera: Camera, points: np.ndarray, observations: Observations)
     def linearise(pose: np.ndarray) -> Linearised:
         poses = np.broadcast_to(pose, (len(seen), 4, 4))
         r, d_motion, _ = residuals(camera, poses, seen, observations)
-        weights, cost = robust_weights(r)
+        weights, cost = robust_weights(r, observations.share_px)
         weighted = (d_motion * weights[..., None]).reshape(-1, 6)
         return Linearised(cost, weighted.T @ d_motion.reshape(-1, 6), weighted.T @ r.ravel())
 

@@ -32,6 +32,7 @@ def sight(
     noise_features: dict[str, Tensor],
     noise: Sequence[NoiseModel | None],
     camera: Camera,
+    common_px: float = 0.0,
 ) -> Sighting:
     """The features with the depth readings of all sensors there. The pose is not known yet."""
     limit = [camera.width - 1, camera.height - 1]
@@ -45,6 +46,7 @@ def sight(
     sighting = Sighting(
         frame.index, np.eye(4), features.uv, features.sigma_px, np.stack(depths, 1), np.zeros((len(u), len(depths))),
         np.stack(edges, 1), np.stack(inputs, 1).astype(np.float32), np.full(len(u), NONE),
+        common_px,
     )  # fmt: skip
     weigh(sighting, noise)
     return sighting

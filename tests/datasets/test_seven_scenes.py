@@ -90,8 +90,13 @@ def _cloud(recording, index: int) -> np.ndarray:
 def test_colour_is_registered_unless_a_camera_file_says_otherwise(sequence):
     default = open_dataset(sequence)
     assert any("registered to depth by a typical calibration" in note for note in default.notes)
-    (sequence / "camera.json").write_text('{"width": 640, "height": 480, "fx": 585, "fy": 585, "cx": 320, "cy": 240}')
+    assert default.registration_sigma_px == 3.0
+    camera = '{"width": 640, "height": 480, "fx": 585, "fy": 585, "cx": 320, "cy": 240'
+    (sequence / "camera.json").write_text(camera + ', "registration_sigma_px": 0.7}')
+    assert open_dataset(sequence).registration_sigma_px == 0.7
+    (sequence / "camera.json").write_text(camera + "}")
     as_it_is = open_dataset(sequence)
+    assert as_it_is.registration_sigma_px == 0.0
     assert any("taken as registered to depth" in note for note in as_it_is.notes)
     raw = cv2.imread(str(next(sequence.glob("frame-000000.color.*"))))[..., ::-1]
     np.testing.assert_array_equal(as_it_is.color(0).numpy(), raw)

@@ -1,6 +1,10 @@
 """The sweeps of the reconstruction."""
 
+from types import SimpleNamespace
+
+import pytest
 import torch
+from uncle.recon import pipeline
 from uncle.recon.checkpoint import Checkpoint
 from uncle.recon.config import make_config
 from uncle.recon.pipeline import reconstruct
@@ -22,3 +26,14 @@ def test_every_sweep_counts_every_reading_once(make_mappable_run, tmp_path):
     assert counts.max() >= 3
     assert sorted(betas) == sorted(made.poses) == list(range(0, 12, 2))
     assert {"sweep 1", "sweep 2", "sweep 3", "learning"} <= set(made.seconds)
+
+
+@pytest.mark.parametrize(("off_px", "asked"), [(0.0, True), (1.0, True), (3.0, False)])
+def test_colour_that_lies_beside_its_depth_is_no_witness(off_px, asked):
+    looked, events = [], []
+    witness = SimpleNamespace(look=lambda *_: looked.append(1), indices=[], testimony={})
+    mapper = SimpleNamespace(config=make_config("uncle", []), witness=witness, surface=lambda: None)
+    frames = SimpleNamespace(registration_sigma_px=off_px, stream=lambda indices, prepare: iter(()))
+    pipeline._hear_colors(frames, mapper, pipeline.Progression(), events.append)
+    assert bool(looked) == asked
+    assert any("3 px beside its depth" in event.text for event in events) != asked

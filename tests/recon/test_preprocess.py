@@ -35,6 +35,7 @@ class MemoryRecording:
     has_poses: bool = True
     has_timestamps: bool = True
     reference_mesh: Path | None = None
+    registration_sigma_px: float = 2.5
     notes: tuple[str, ...] = ("a note",)
 
     def __len__(self) -> int:
@@ -121,6 +122,7 @@ def test_every_part_of_a_frame_arrives(run, convert):
     reference = Trajectory.load(run.reference_trajectory_path)
     np.testing.assert_allclose(reference.T_world_camera[:, 0, 3], range(6))
     assert run.manifest.camera == CAMERA.to_dict()
+    assert run.manifest.registration_sigma_px == RunFrames(run).registration_sigma_px == 2.5
     assert not (run.root / "frames.part").exists()
 
 

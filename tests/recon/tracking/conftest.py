@@ -50,6 +50,7 @@ def make_scene():
         depths[rng.random(len(depths)) < 0.2, 0] = 0.0  # holes
         depths[rng.random(len(depths)) < lying, 1] += lie_m
         sigmas = 0.01 * np.maximum(depths, 1) ** 2
-        return Scene(CAMERA, poses, world, Observations(camera, point, uv, np.full(len(uv), 0.7), depths, sigmas))
+        ones = np.ones(len(uv))
+        return Scene(CAMERA, poses, world, Observations(camera, point, uv, 0.7 * ones, depths, sigmas, ones))
 
     return make

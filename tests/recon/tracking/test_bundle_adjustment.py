@@ -14,6 +14,7 @@ from uncle.recon.tracking.bundle_adjustment import (
     robust_weights,
     without_outliers,
 )
+from uncle.recon.tracking.landmarks import share_of_pixels
 from uncle.recon.tracking.motion import angle, inverse, moved
 from uncle.recon.tracking.pose_edges import PoseEdges
 
@@ -84,9 +85,16 @@ def test_jacobians_against_differences(make_scene, of):
 
 def test_robust_cost_of_known_residuals():
     r = np.array([[PIXEL_SCALE, 0.0, 0.0], [0.0, 0.0, DEPTH_SCALE]])
-    weights, cost = robust_weights(r)
+    weights, cost = robust_weights(r, np.ones(len(r)))
     np.testing.assert_allclose(weights, [[0.5, 0.5, 1.0], [1.0, 1.0, 0.5]])
     assert cost == pytest.approx((PIXEL_SCALE**2 + DEPTH_SCALE**2) * np.log(2))
+
+
+def test_pixels_count_the_share_that_is_theirs():
+    r = np.array([[PIXEL_SCALE, 0.0, 0.0], [0.0, PIXEL_SCALE, DEPTH_SCALE]])
+    weights, cost = robust_weights(r, np.array([1.0, 0.1]))
+    np.testing.assert_allclose(weights, [[0.5, 0.5, 1.0], [0.05, 0.05, 0.5]])
+    assert cost == pytest.approx((1.1 * PIXEL_SCALE**2 + DEPTH_SCALE**2) * np.log(2))
 
 
 def test_poses_and_points_come_back(make_scene):
@@ -148,7 +156,7 @@ def test_one_step_is_that_of_the_dense_normal_equations(make_scene):
     start = scene.perturbed(1e-4, 1e-4, 1e-4)
     found = adjust(scene.camera, *start, scene.observations, scene.free, iterations=1)
     r, _, _ = all_residuals(scene, *start)
-    weights, _ = robust_weights(r)
+    weights, _ = robust_weights(r, np.ones(len(r)))
     J, root = dense_jacobian(scene, *start)[:, 6:], np.sqrt(weights).ravel()
     normal = J.T @ (J * root[:, None] ** 2)
     normal += np.diag(1e-4 * np.diag(normal) + 1e-9)  # the damping of a first step
@@ -165,7 +173,7 @@ def test_covariance_is_that_of_the_dense_inverse(make_scene):
     scene = replace(scene, observations=noisy)
     found = covariances(scene.camera, scene.poses, scene.points, scene.observations, scene.free)
     r, _, _ = all_residuals(scene, scene.poses, scene.points)
-    weights, _ = robust_weights(r)
+    weights, _ = robust_weights(r, np.ones(len(r)))
     J = dense_jacobian(scene, scene.poses, scene.points)[:, 6:]
     dense = np.linalg.inv(J.T @ (J * weights.reshape(-1, 1))) * (1.48 * np.median(np.abs(r[:, :2]))) ** 2
     assert (found[0] == 0).all()
@@ -218,3 +226,21 @@ def test_outliers_are_left_out(make_scene):
     assert kept.uv.tolist() == uv[expected].tolist()
     depths[5, 1] = 0.0
     assert kept.depths.tolist() == depths[expected].tolist()
+
+
+def test_surfaces_outweigh_pixels_that_are_off_together(make_scene):
+    """Colour of a camera whose focal length is 10 % larger than is believed, beside motions measured by depth."""
+    scene = make_scene()
+    centre = np.array([scene.camera.cx, scene.camera.cy])
+    wrong = replace(scene.observations, uv=centre + 1.1 * (scene.observations.uv - centre))
+    first, second = np.array([0, 1, 2]), np.array([1, 2, 3])
+    motions = inverse(scene.poses[first]) @ scene.poses[second]
+    edges = PoseEdges(first, second, motions, np.tile(np.diag([0.01**-2] * 3 + [0.01**-2] * 3), (3, 1, 1)))
+    off = []
+    for common in (0.0, 5.0):
+        share = share_of_pixels(wrong.sigma_px[: len(scene.points)], common)
+        seen = replace(wrong, share_px=np.tile(share, len(scene.poses)))
+        found = adjust(scene.camera, scene.poses, scene.points, seen, scene.free, edges=edges, iterations=30)
+        off.append(shifts_and_turns(found.poses, scene.poses)[0])
+    assert off[0] > 0.01
+    assert off[1] < 0.25 * off[0]

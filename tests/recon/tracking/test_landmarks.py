@@ -1,7 +1,16 @@
 """Tables of points, and who saw them."""
 
+from dataclasses import replace
+
 import numpy as np
-from uncle.recon.tracking.landmarks import NONE, Landmarks, Sighting, observations_of, seen_at_least
+from uncle.recon.tracking.landmarks import (
+    NONE,
+    Landmarks,
+    Sighting,
+    observations_of,
+    seen_at_least,
+    share_of_pixels,
+)
 
 
 def sighting(index: int, *landmarks: int) -> Sighting:
@@ -73,7 +82,7 @@ def test_forget_unmatched_keeps_rows_whole():
     assert len(frame) == 2
     assert frame.landmark.tolist() == [8, 6]
     assert frame.uv[:, 1].tolist() == [1.0, 3.0]
-    assert {len(v) for k, v in vars(frame).items() if k not in ("index", "pose")} == {2}
+    assert {len(v) for k, v in vars(frame).items() if k not in ("index", "pose", "common_px")} == {2}
 
 
 def test_state_round_trip():
@@ -82,3 +91,12 @@ def test_state_round_trip():
     assert again.index == 3
     for name, value in vars(frame).items():
         np.testing.assert_array_equal(getattr(again, name), value)
+
+
+def test_pixels_that_are_off_together_say_no_more_than_one_that_is_off_by_as_much():
+    assert (share_of_pixels(np.array([0.5, 2.0]), 0.0) == 1).all()
+    sigma, common = np.full(40, 0.5), 3.0
+    information = (share_of_pixels(sigma, common) / sigma**2).sum()
+    np.testing.assert_allclose(1 / information, 0.5**2 / 40 + common**2)  # the variance of the mean of the 40
+    seen, _ = observations_of([replace(sighting(0, 1, 2, 3), common_px=2.0), sighting(1, 1, 2)], landmarks(4))
+    np.testing.assert_allclose(seen.share_px, [1 / 13] * 3 + [1.0] * 2)

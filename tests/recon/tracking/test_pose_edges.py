@@ -6,10 +6,10 @@ import numpy as np
 from uncle.recon.camera import Camera
 from uncle.recon.tracking.bundle_adjustment import Observations, adjust
 from uncle.recon.tracking.motion import inverse, motion_between, moved
-from uncle.recon.tracking.pose_edges import PoseEdges, adjoint, linearise_edges
+from uncle.recon.tracking.pose_edges import PoseEdges, adjoint, edges_among, linearise_edges
 
 CAMERA = Camera(320, 240, 200.0, 200.0, 160.0, 120.0)
-NOTHING = Observations(*(np.zeros(0, int),) * 2, np.zeros((0, 2)), np.zeros(0), *(np.zeros((0, 1)),) * 2)
+NOTHING = Observations(*(np.zeros(0, int),) * 2, np.zeros((0, 2)), np.zeros(0), *(np.zeros((0, 1)),) * 2, np.zeros(0))
 STEP = 1e-6
 
 
@@ -94,3 +94,13 @@ def test_an_edge_far_off_loses_its_influence():
     wrong[-1] = moved(wrong[-1], np.full(6, 0.3))
     found = solve(true, replace(edges, T_first_second=wrong))
     assert np.abs(motion_between(true, found)).max() < 0.003
+
+
+def test_edges_among_some_frames_are_numbered_by_their_places():
+    measured = [(a, b, np.eye(4) * a, np.eye(6) * b) for a, b in ((3, 9), (3, 4), (9, 20), (20, 21))]
+    edges = edges_among(measured, [3, 9, 20])
+    assert edges.first.tolist() == [0, 1]
+    assert edges.second.tolist() == [1, 2]
+    assert edges.T_first_second[1, 0, 0] == 9
+    assert edges.information[1, 0, 0] == 20
+    assert edges_among(measured, [4, 21]) is None

@@ -66,7 +66,7 @@ def test_points_on_a_ray_do_not_turn_the_camera_about_it(make_scene):
     points = np.linspace([0, 0, 1.0], [0, 0, 3.0], 20)
     uv = np.tile([scene.camera.cx, scene.camera.cy], (20, 1))
     seen = type(scene.observations)(
-        np.zeros(20, int), np.arange(20), uv, np.ones(20), points[:, 2:], np.full((20, 1), 0.01)
+        np.zeros(20, int), np.arange(20), uv, np.ones(20), points[:, 2:], np.full((20, 1), 0.01), np.ones(20)
     )
     start = moved(np.eye(4), np.array([0.02, 0.01, 0.03, 0.0, 0.0, 0.5]))
     found, _ = minimise(start, [feature_term(scene.camera, points, seen)], 20)
