@@ -56,6 +56,8 @@ class KeyframeGraph:
         if view is None or len(self.keyframes) < 2:
             return
         self._align_surfaces(newest, self.keyframes[-1 - NEIGHBOURS : -1])
+        if sighting.common_px > 0:  # surfaces hold what pixels cannot
+            self._align_surfaces(newest, self._older_around(newest))
         if len(self.landmarks) == 0:
             self._close_by_surface()
             return
@@ -100,10 +102,9 @@ class KeyframeGraph:
         """Adjust all; where pixels share an error, then place every frame on the landmarks, which hold still."""
         self.adjust_globally()
         if any(s.common_px > 0 for s in self.sightings):
-            frames = [p for p in self._strong() if p != self.keyframes[0]]
-            before = {k: self.sightings[k].pose for k in self.keyframes}
-            self._adjust(frames, np.ones(len(frames), bool), 10, free_points=False)
-            self._carry(before, {*frames, self.keyframes[0]})
+            frames, before = self._strong(), {k: self.sightings[k].pose for k in self.keyframes}
+            self._adjust(frames, self._all_but_first(frames), 10, free_points=False)
+            self._carry(before, {*frames})
 
     def covariances(self) -> dict[int, np.ndarray]:
         """Covariance (6, 6) of each frame's pose, metres and radians, against the first keyframe (zero for that one),
@@ -121,12 +122,10 @@ class KeyframeGraph:
 
     def state_dict(self) -> dict[str, Any]:
         """Plain tensors and containers that `load_state_dict` continues from."""
-        views = {k: [torch.from_numpy(a) for a in (v.points, v.normals, v.sigma)] for k, v in self.views.items()}
         return {
             "sightings": [s.to_state() for s in self.sightings],
             "keyframes": list(self.keyframes),
-            "views": views,
-            "cameras": {k: v.camera.to_dict() for k, v in self.views.items()},
+            "views": {k: v.to_state() for k, v in self.views.items()},
             "edges": [(a, b, torch.from_numpy(m), torch.from_numpy(i)) for a, b, m, i in self.edges],
             "loops": list(self.loops),
             "landmarks": {n: torch.from_numpy(v) for n, v in vars(self.landmarks).items()},
@@ -135,10 +134,7 @@ class KeyframeGraph:
     def load_state_dict(self, state: dict[str, Any]) -> None:
         self.sightings = [Sighting.from_state(s) for s in state["sightings"]]
         self.keyframes = list(state["keyframes"])
-        self.views = {
-            k: SurfaceView(Camera(**state["cameras"][k]), *(a.numpy() for a in images))
-            for k, images in state["views"].items()
-        }
+        self.views = {k: SurfaceView.from_state(v) for k, v in state["views"].items()}
         self.edges = [(a, b, m.numpy(), i.numpy()) for a, b, m, i in state["edges"]]
         self.loops = [tuple(loop) for loop in state["loops"]]
         for name, values in state["landmarks"].items():
@@ -201,8 +197,7 @@ class KeyframeGraph:
             motion = inverse(self.sightings[previous].pose) @ self.sightings[newest].pose
             self.edges.append((previous, newest, motion, np.diag([_TRACKED_M**-2] * 3 + [_TRACKED_RAD**-2] * 3)))
             measured += 1
-        near = self._near(self.sightings[newest].pose, 2 * NEIGHBOURS)
-        self._align_surfaces(newest, [k for k in near if k not in self.keyframes[-1 - NEIGHBOURS :]])
+        self._align_surfaces(newest, self._older_around(newest))
         self.loops += [(first, newest) for first, *_ in self.edges[measured:]]
         known = inverse(self.sightings[newest].pose)
         off = [known @ self.sightings[first].pose @ motion for first, _, motion, _ in self.edges[measured:]]
@@ -291,6 +286,11 @@ class KeyframeGraph:
         shared = np.array([marked[self.numbers(k)].sum() for k in self.keyframes])
         order = np.argsort(-shared, kind="stable")
         return np.array(self.keyframes)[order], shared[order]
+
+    def _older_around(self, newest: int) -> list[int]:
+        """Keyframes near the newest one that are older than its neighbours."""
+        near = self._near(self.sightings[newest].pose, 2 * NEIGHBOURS)
+        return [k for k in near if k not in self.keyframes[-1 - NEIGHBOURS :]]
 
     def _near(self, pose: np.ndarray, count: int) -> list[int]:
         """Keyframes that look from about the same place into about the same direction."""

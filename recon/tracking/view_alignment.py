@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
+import torch
 
 from ..camera import Camera
 from .motion import exceeds, inverse
@@ -37,6 +39,15 @@ class SurfaceView:
     def blurred(self, metres: float) -> SurfaceView:
         """The same with a depth less certain by that much, which draws from further away."""
         return replace(self, sigma=np.hypot(self.sigma, metres))
+
+    def to_state(self) -> dict[str, Any]:
+        """Plain tensors and numbers."""
+        images = {name: torch.from_numpy(getattr(self, name)) for name in ("points", "normals", "sigma")}
+        return {"camera": self.camera.to_dict(), **images}
+
+    @staticmethod
+    def from_state(state: dict[str, Any]) -> SurfaceView:
+        return SurfaceView(Camera(**state["camera"]), *(state[n].numpy() for n in ("points", "normals", "sigma")))
 
     @property
     def valid(self) -> np.ndarray:
