@@ -25,6 +25,8 @@ QUICK = [
 class RoomFrames(RunFrames):
     """The painted room in memory; its one sensor reads `scale` times the true depth. `paint` goes to the pictures."""
 
+    registration_sigma_px = 0.0
+
     def __init__(self, room, poses, scale: float = 1.0, grain: float = 0.0, **paint) -> None:
         self.room, self.poses, self.scale, self.camera, self.sensors = room, poses, scale, room.camera, ("stereo",)
         rng = np.random.default_rng(0)
