@@ -9,7 +9,7 @@ from uncle.recon.errors import ConfigError
 from uncle.recon.senfunet.blending import believed, fused_distance, weighting_inputs
 from uncle.recon.senfunet.bricks import brick_samples, inner_part
 from uncle.recon.senfunet.fuse import require_pair
-from uncle.recon.senfunet.models import SenfunetModel
+from uncle.recon.senfunet.models import SHIPPED, SenfunetModel, shipped_pairs
 from uncle.recon.senfunet.network import HALO, PARAMETERS, FeatureNetwork, WeightingNetwork
 from uncle.recon.senfunet.sensor_grid import BORDER_PX, MAX_WEIGHT, SensorGrid, ray_samples
 
@@ -195,3 +195,16 @@ def test_it_fuses_one_or_two_sensors():
     assert require_pair(("sl", "sgm")) == ("sl", "sgm")
     with pytest.raises(ConfigError, match=r"one or two sensors, not sl, sgm, tof.*--sensors sl sgm"):
         require_pair(("sl", "sgm", "tof"))
+
+
+def test_the_package_brings_the_pairs_of_simulated_sensors():
+    """Small files that load under the name of either kind, and give a share of 0 to 1."""
+    assert shipped_pairs() == ["sgm+psmnet", "sl+psmnet", "sl+sgm"]
+    assert sum(path.stat().st_size for path in SHIPPED.glob("*.pt")) < 300_000
+    samples = torch.rand(1, 10, 8, 8, 8, generator=torch.Generator().manual_seed(0)) * 2
+    for pair in (("sl", "psmnet"), ("dense", "sgm"), ("sgm", "sl")):
+        model = SenfunetModel.load(pair)
+        assert set(model.sensors) == set(pair)
+        with torch.no_grad():
+            share = model.weighting(samples)
+        assert 0 <= float(share.min()) <= float(share.max()) <= 1
