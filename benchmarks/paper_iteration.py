@@ -31,7 +31,8 @@ class Bench:
 
     def __init__(self, run: Path, sensors: list[str], rays: int, warm: int, device: str) -> None:
         self.device = choose_device(device)
-        settings = [f"nice_mapping.first_iterations={warm}", f"nice_mapping.pixels={rays}"]
+        settings = [f"nice_mapping.first_iterations={warm}", f"nice_mapping.iterations={max(1, warm // 10)}",
+                    f"nice_mapping.pixels={rays}"]  # fmt: skip
         config = make_config("uncle-paper", [*settings, f"nice_tracking.pixels={rays}"], sensors=tuple(sensors))
         self.frames = RunFrames(RunDirectory(run), sensors)
         self.system = NiceSystem(self.frames, config, self.device)

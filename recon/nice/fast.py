@@ -90,23 +90,28 @@ class FastEvaluate:
     def grid(self, name: str) -> _Grid:
         return _Grid(self.scene.grids[name])
 
-    def follow(self, points: Tensor, stage: Stage, keep: bool, worker: int, first: int) -> tuple[Tensor, list[_Seen]]:
-        """`RAYS` rays from number `first` of points (R, S, 3) -> logits (r, S), and what was seen if `keep`."""
-        length = points.shape[1]
-        points = points[first : first + RAYS]
+    def follow(self, points: Tensor, stage: Stage, keep: bool, worker: int, rays: range) -> tuple[Tensor, list[_Seen]]:
+        """Some rays of points (R, S, 3) -> logits (r, S), and what was seen if `keep`."""
+        first, length = rays.start, points.shape[1]
+        points = points[rays.start : rays.stop]
         logits = torch.full(points.shape[:2], BEHIND_LOGIT)
         alive, passing = torch.arange(len(points)), torch.ones(len(points))
         seen = []
-        for steps in torch.arange(length).chunk(SEGMENTS):
-            part = points[alive][:, steps].reshape(-1, 3)
+        step = -(-length // SEGMENTS)
+        for start in range(0, length, step):
+            end = min(start + step, length)
+            whole = len(alive) == len(points)
+            part = (points[:, start:end] if whole else points[alive, start:end]).reshape(-1, 3)
             found, opened = self.logits(part, stage)
             found = found.view(len(alive), -1)
-            logits[alive[:, None], steps] = found
+            logits[slice(None) if whole else alive, start:end] = found
             if keep:
-                seen.append(_Seen(((first + alive)[:, None] * length + steps).view(-1), part, opened))
+                samples = (first + alive)[:, None] * length + torch.arange(start, end)
+                seen.append(_Seen(samples.view(-1), part, opened))
             passing = passing * (1 - torch.sigmoid(OCCUPANCY_SLOPE * found) + TINY).prod(1)
             left = passing > PASSED
-            alive, passing = alive[left], passing[left]
+            if not bool(left.all()):
+                alive, passing = alive[left], passing[left]
             if not len(alive):
                 break
         return logits, seen
@@ -120,9 +125,9 @@ class FastEvaluate:
             features = torch.cat([self.grid("fine").lookup(points), middle], 1)
             more, masks["fine"] = self.fine.values(points, features)
             logits = logits + more
-        low, high = self.scene.bound
-        inside = ((points >= low) & (points <= high)).all(1)
-        return torch.where(inside, logits[:, 0], OUTSIDE_LOGIT), masks
+        logits = logits[:, 0].contiguous()
+        kernels.fill_outside(points.numpy(), *self.scene.bound.numpy(), np.float32(OUTSIDE_LOGIT), logits.numpy())
+        return logits, masks
 
     def colors(self, points: Tensor, decoder: FrozenDecoder, worker: int, samples: Tensor) -> tuple[Tensor, Tensor]:
         """Colours (n, 3) of samples (n,) of points (N, 3), and the open ReLUs of the decoder."""
@@ -137,7 +142,9 @@ class _Along(torch.autograd.Function):
     def forward(ctx, evaluate: FastEvaluate, stage: Stage, points: Tensor, *learned: Tensor):
         points = points.detach().contiguous()
         work = partial(evaluate.follow, points, stage, any(ctx.needs_input_grad))
-        done = evaluate.workers.share(work, range(0, len(points), RAYS))
+        size = max(RAYS, SAMPLES // points.shape[1])
+        parts = [range(start, start + size) for start in range(0, len(points), size)]
+        done = evaluate.workers.share(work, parts)
         logits = torch.cat([part for part, _ in done])
         ctx.evaluate, ctx.stage, ctx.points = evaluate, stage, points
         ctx.seen = [seen for _, parts in done for seen in parts]

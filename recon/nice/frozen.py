@@ -47,8 +47,8 @@ class FrozenDecoder:
     def gradients(self, opened: Tensor, of_values: Tensor, points: Tensor | None) -> tuple[Tensor, Tensor | None]:
         """From that of the outputs (N, O): gradient of the first 32 features (N, 32); of the points (N, 3), where they
         are given, through the embedding alone."""
-        of_features = torch.zeros(len(of_values), CHANNELS)
-        of_entry = torch.empty(len(of_values), 2 * WIDTH)
+        of_features = of_values.new_zeros(len(of_values), CHANNELS)
+        of_entry = of_values.new_empty(len(of_values), 2 * WIDTH)
         for layer, of_state, of_inner in self._backward(opened, of_values):
             of_features.addmm_(of_state, self.injections_back[layer])
             if points is not None and layer in (0, SKIP):

@@ -96,6 +96,15 @@ def add_slopes(points, table, gradient, low, inverse_pitch, shape, of_points):
 
 
 @njit(nogil=True, cache=True)
+def fill_outside(points, low, high, value, values):
+    """values (N,) of points (N, 3) beyond the box low, high (3,) become `value`."""
+    for n in range(len(points)):
+        for axis in range(3):
+            if points[n, axis] < low[axis] or points[n, axis] > high[axis]:
+                values[n] = value
+
+
+@njit(nogil=True, cache=True)
 def rectify(values, opened):
     """ReLU of values (N,) in place; opened (N,) uint8: where it let something through."""
     nothing = np.float32(0.0)
