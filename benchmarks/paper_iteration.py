@@ -53,7 +53,7 @@ class Bench:
         scene.learn()
         settings = self.system.config.nice_mapping.model_copy(update={"learning_rate_middle": 1e-5,
                                                                      "learning_rate": 1e-5})  # fmt: skip
-        optimizer = Optimizer(scene, mapper.weighting, None, settings, 1.0)
+        optimizer = Optimizer(scene, mapper.weighting, None, settings, 1.0, "color")
         return lambda: optimizer.step(mapper.loss(window, poses, stage), stage, {})
 
     def tracking(self) -> Callable[[], None]:

@@ -106,9 +106,10 @@ class NiceMapper:
         free = torch.tensor([[float(i != oldest)] for i in range(len(frames))], device=self.scene.device)
         fixed, seven = to_matrix(seven), seven.requires_grad_(moves)
         self.scene.learn(not holds_colors)
-        optimizer = Optimizer(self.scene, self.weighting, seven if moves else None, self.settings, factor)
+        last: Stage = "color" if self.config.nice.color else "fine"
+        optimizer = Optimizer(self.scene, self.weighting, seven if moves else None, self.settings, factor, last)
         for stage in stages:
-            adjusts = moves and stage == "color"
+            adjusts = moves and stage == last
             poses = to_matrix(seven * free + seven.detach() * (1 - free)) if adjusts else fixed
             optimizer.step(self.loss(window, poses, stage), stage, masks)
         if moves:
@@ -120,8 +121,10 @@ class Optimizer:
     """One Adam over groups whose step sizes follow the stage."""
 
     def __init__(
-        self, scene: Scene, weighting: Weighting, poses: Tensor | None, settings: NiceMappingConfig, factor: float
-    ) -> None:
+        self, scene: Scene, weighting: Weighting, poses: Tensor | None, settings: NiceMappingConfig, factor: float,
+        last: Stage,
+    ) -> None:  # fmt: skip
+        """`last`: the stage in which poses (M, 7) move."""
         self.tables = {name: grid.table for name, grid in scene.grids.items()}
         groups = {name: [table] for name, table in self.tables.items()}
         groups["decoder"] = list(scene.color_decoder.parameters())
@@ -129,7 +132,7 @@ class Optimizer:
         groups["poses"] = [] if poses is None else [poses]
         named = [{"params": params, "name": name} for name, params in groups.items() if params]
         self.adam = torch.optim.Adam(named, fused=True)
-        self.rates = {stage: learning_rates(settings, stage, factor) for stage in ("middle", "fine", "color")}
+        self.rates = {stage: learning_rates(settings, stage, factor, last) for stage in ("middle", "fine", "color")}
 
     def step(self, loss: Tensor, stage: Stage, masks: dict[str, Tensor]) -> None:
         """Down the gradient of `loss`; features outside of `masks` stay as they are."""
@@ -143,8 +146,8 @@ class Optimizer:
         self.adam.step()
 
 
-def learning_rates(settings: NiceMappingConfig, stage: Stage, factor: float) -> dict[str, float]:
-    """Step size of each group in a stage."""
+def learning_rates(settings: NiceMappingConfig, stage: Stage, factor: float, last: Stage) -> dict[str, float]:
+    """Step size of each group in a stage; poses move in the `last` one, colour or, without colour, fine."""
     later, middle, color = settings.learning_rate * factor, stage == "middle", stage == "color"
     return {
         "middle": settings.learning_rate_middle * factor if middle else later,
@@ -152,7 +155,7 @@ def learning_rates(settings: NiceMappingConfig, stage: Stage, factor: float) -> 
         "color": later if color else 0.0,
         "decoder": 0.0 if middle else later,
         "noise": 0.0 if middle else settings.learning_rate_noise * factor,
-        "poses": settings.learning_rate_pose if color else 0.0,
+        "poses": settings.learning_rate_pose if stage == last else 0.0,
     }
 
 

@@ -27,12 +27,13 @@ def test_the_paper_joins_fine_grid_and_colour_after_60_percent():
 
 def test_step_sizes():
     settings = NiceMappingConfig()
-    middle, fine, color = (learning_rates(settings, stage, 5.0) for stage in ("middle", "fine", "color"))
+    middle, fine, color = (learning_rates(settings, stage, 5.0, "color") for stage in ("middle", "fine", "color"))
     assert middle == {"middle": 0.5, "fine": 0, "color": 0, "decoder": 0, "noise": 0, "poses": 0}
     assert fine == pytest.approx(
         {"middle": 0.025, "fine": 0.025, "color": 0, "decoder": 0.025, "noise": 0.0015, "poses": 0}
     )
     assert color == pytest.approx(fine | {"color": 0.025, "poses": 0.001})
+    assert learning_rates(settings, "fine", 5.0, "fine")["poses"] == 0.001  # where no colour is mapped
 
 
 def test_holes_do_not_count_in_the_mean_depth():

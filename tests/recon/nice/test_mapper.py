@@ -54,8 +54,9 @@ def map_all(system: NiceSystem, frames, indices, last: int | None = None) -> lis
     return found
 
 
-def test_cameras_are_adjusted_when_there_are_more_than_four_keyframes(frames):
-    system = make_system(frames)
+@pytest.mark.parametrize("color", ["true", "false"])
+def test_cameras_are_adjusted_when_there_are_more_than_four_keyframes(frames, color):
+    system = make_system(frames, f"nice.color={color}")
     moves = map_all(system, frames, range(6))
     assert moves[:5] == [{}] * 5
     assert 5 in moves[5]
