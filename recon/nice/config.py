@@ -74,7 +74,7 @@ class NiceTrackingConfig(Strict):
 
 # what stands still while a field is optimised frame by frame; its surface is sampled at the voxel size
 OPTIMISED: dict[str, Any] = {
-    "fusion": {"voxel_size_m": 0.04, "max_depth_m": 20.0, "min_readings": 1.0},
+    "fusion": {"voxel_size_m": 0.04, "max_depth_m": 10.0, "min_readings": 1.0},
     "uncertainty": {"enabled": False},
     "health": {"enabled": False},
     "color": {"enabled": False},
