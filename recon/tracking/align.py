@@ -167,7 +167,7 @@ class AlignTracker:
         if self.volume is None or self.config.readings == 0:
             return None
         readings = readings_of(frame, noise_features, self.noise, self.camera, self.config, self._reach)
-        return readings if len(readings) >= MIN_READINGS else None
+        return readings.to(self.volume.grid.device) if len(readings) >= MIN_READINGS else None
 
     def _begun(self, frame: Frame, sighting: Sighting, readings: Readings | None) -> tuple[_Found | None, Status]:
         """The first frame that shows anything defines the world: by its given pose, else it is the origin."""

@@ -37,6 +37,11 @@ class Readings:
     def __len__(self) -> int:
         return len(self.points)
 
+    def to(self, device: torch.device) -> Readings:
+        """The readings where the map is."""
+        grey = None if self.grey is None else self.grey.to(device)
+        return Readings(self.points.to(device), self.directions.to(device), self.beta.to(device), grey, self.scale)
+
 
 def surface_term(volume: FusionVolume, readings: Readings, share: float = SHARE, scale: float = ROBUST_SCALE) -> Term:
     """The term of `readings` in the sum that `minimise` takes."""
