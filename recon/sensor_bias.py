@@ -50,7 +50,7 @@ class SensorBias(PixelNetwork):
     @torch.no_grad()
     def of(self, features: Tensor) -> Tensor | float:
         """(N,) metres to be taken off; 0 unless believed."""
-        return self(features) if self.believed else 0.0
+        return self(features.to(self.device)).to(features.device) if self.believed else 0.0
 
 
 @dataclass(frozen=True)

@@ -38,6 +38,10 @@ class Residuals:
     def __len__(self) -> int:
         return len(self.metres)
 
+    def to(self, device: torch.device) -> Residuals:
+        """The residuals where a model is."""
+        return Residuals(self.metres.to(device), self.features.to(device), self.blur.to(device))
+
     def joined(self, other: Residuals) -> Residuals:
         device = self.metres.device
         pairs = ((self.metres, other.metres), (self.features, other.features), (self.blur, other.blur))
@@ -64,6 +68,11 @@ class PixelNetwork(nn.Module):
             self.layers[-1].weight.mul_(0.1)
             self.layers[-1].bias[0] = math.log(math.expm1(START_BETA_M))
         self.optimizer = Adam(self.parameters())
+
+    @property
+    def device(self) -> torch.device:
+        """Where its weights are."""
+        return self.seen.device
 
     def scale_and_offset(self, features: Tensor) -> tuple[Tensor, Tensor | float]:
         """(N, F) -> Laplace scale (N,) and middle (N,) of what is to be expected, metres."""
@@ -94,6 +103,7 @@ class PixelNetwork(nn.Module):
         nats, loss_of = torch.zeros(()), interval_loss if for_intervals else laplace_nll
         if len(residuals) == 0:
             return math.nan
+        residuals = residuals.to(self.device)
         off = residuals.metres.clamp(-MAX_RESIDUAL_M, MAX_RESIDUAL_M)
         for step in range(steps):
             batch = torch.randint(len(residuals), (self.config.batch,), generator=generator).to(off.device)
