@@ -10,8 +10,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.stats import rankdata
 
+from .stated_intervals import LEVELS, StatedIntervals, key_of
+
 COVERAGES = (0.5, 0.9)
-LEVELS = tuple(round(0.05 * step, 2) for step in range(1, 20))  # 5 to 95 %
 BINS = 20  # of the reliability and sparsification curves
 DEPTH_BINS = 64  # of the model that knows nothing but the depth of a reading
 
@@ -44,6 +45,7 @@ class UncertaintyMetrics:
     nll_nats           mean negative log-likelihood per reading (of metres); lower is better
     nll_constant_nats  the same for the best constant beta, which is the mean |error|
     coverage_50, _90   share of errors inside the central 50 and 90 % intervals; right is 0.5 and 0.9
+    stated_coverage_50, _90   the same for the intervals that the map states for the sensor instead of those of Laplace
     ause               area between the sparsification curves of beta and of the oracle, both over the mean |error| of
                        all; 0 is the oracle
     ause_random        the same for an order that knows nothing
@@ -52,7 +54,7 @@ class UncertaintyMetrics:
     nll_depth_nats     negative log-likelihood of the depth-only beta, which knows the truth
     rank_correlation   Spearman's, of beta and |error|; None if one of them is constant
 
-    What needs the depth of the readings is None without it.
+    What needs the depth of the readings, or stated intervals, is None without them.
     """
 
     nll_nats: float
@@ -71,6 +73,8 @@ class UncertaintyMetrics:
     ause_depth: float | None = None
     ause_gain: float | None = None
     nll_depth_nats: float | None = None
+    stated_coverage_50: float | None = None
+    stated_coverage_90: float | None = None
 
 
 def evaluate_uncertainty(
@@ -78,12 +82,14 @@ def evaluate_uncertainty(
     beta_m: np.ndarray,
     depth_m: np.ndarray | None = None,
     *,
+    intervals: StatedIntervals | None = None,
     max_readings: int = 500_000,
     seed: int = 0,
 ) -> UncertaintyMetrics:
     """Score `beta_m` (N,) > 0 against `error_m` (N,), the signed or absolute error of the same readings, in metres.
 
-    With `depth_m` (N,), what the readings say, also against a beta that knows the depth alone. More than `max_readings`
+    With `depth_m` (N,), what the readings say, also against a beta that knows the depth alone; with `intervals`, also
+    what those cover. More than `max_readings`
     are thinned at random. Raises ValueError for other shapes, no reading or a beta <= 0.
     """
     error, beta = np.abs(np.ravel(error_m)).astype(np.float64), np.ravel(beta_m).astype(np.float64)
@@ -113,6 +119,9 @@ def evaluate_uncertainty(
         seed,
         _curves(error, beta, removed, by_beta, oracle),
     )
+    for level in COVERAGES if intervals else ():
+        covered = float(np.mean(error <= intervals[key_of(level)] * beta))
+        metrics = replace(metrics, **{f"stated_coverage_{key_of(level)}": covered})
     return metrics if depth is None else _beside_depth_only(metrics, error, depth[order])
 
 

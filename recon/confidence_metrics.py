@@ -8,9 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.stats import norm
 
-from .calibration import BINS, LEVELS, rank_correlation, sparsification
+from .calibration import BINS, rank_correlation, sparsification
 from .errors import DataError
 from .mesh_io import Mesh
+from .stated_intervals import LEVELS
 from .surface import Surface
 
 MEDIAN_IN_SIGMAS = float(norm.ppf(0.75))  # 0.674, of the distance |e| of a Gaussian error

@@ -20,6 +20,7 @@ from .map_surface import MapSurface
 from .noise_features import noise_features
 from .sensor_biases import SensorBiases
 from .sensor_health import SensorHealth
+from .stated_intervals import state_intervals
 from .uncertainty import NoiseModel, Residuals
 
 WEIGHT_SCALE_M = 0.01  # a reading with this beta weighs 1
@@ -41,6 +42,7 @@ class Mapper:
         self.volume = FusionVolume(grid, camera, truncation, fusion.max_depth_m)
         self.noise = {s: NoiseModel(config.uncertainty, self.generator).to(device) for s in sensors}
         self.bias = SensorBiases(camera, sensors, config.uncertainty, config.seed, device)
+        self.intervals: dict[str, dict[str, float]] = {}  # in betas, by sensor and per cent; of the finished map
         self.selector = KeyframeSelector(camera, config.keyframes)
         self.rays = RayStore(config.keyframes.max_rays)
         self.log = FusionLog()  # used while poses can still change
@@ -164,7 +166,8 @@ class Mapper:
     def learn(self, as_read: bool = False) -> dict[str, float]:
         """Fit the noise models to the residuals of all keyframe rays against the whole map; returns the mean nats.
 
-        `as_read`: how far readings are off as they come, not once their bias is taken off.
+        `as_read`: how far readings are off as they come, not once their bias is taken off; such that the intervals of
+        beta cover what they say, and those of the sensor are stated.
         """
         return self._learn(self.rays.columns, self.config.uncertainty.steps_per_sweep, fused=True, as_read=as_read)
 
@@ -200,10 +203,13 @@ class Mapper:
                 points = rays["origins"][used] + rays["directions"][used] * hit[used, None]
                 residual, trusted = self._without_itself(residual, self.weight(model(inputs.float())), points)
                 residual, inputs, offset = residual[trusted], inputs[trusted], offset[trusted]
-            residuals = Residuals.against_truth(residual + offset if as_read else residual, inputs)
+            own = Residuals.against_truth(residual + offset if as_read else residual, inputs)
+            heard = own
             if fused and self.witness.testimony:
-                residuals = residuals.joined(self.witness.against(column, None if as_read else bias))
-            losses[sensor] = model.learn(residuals, steps, self.generator)
+                heard = own.joined(self.witness.against(column, None if as_read else bias))
+            losses[sensor] = model.learn(heard, steps, self.generator, for_intervals=as_read)
+            if as_read:
+                self.intervals[sensor] = state_intervals(model.in_betas(own))
         return losses
 
     @torch.no_grad()
@@ -253,6 +259,7 @@ class Mapper:
             "witness": self.witness.state_dict(),
             "said": self.said,
             "bias": self.bias.state_dict(),
+            "intervals": self.intervals,
             "health": self.health.state_dict(),
             "generator": self.generator.get_state(),
         }
@@ -270,6 +277,7 @@ class Mapper:
         self.witness.load_state_dict(state["witness"])
         self.said = dict(state["said"])
         self.bias.load_state_dict(state["bias"])
+        self.intervals = dict(state["intervals"])
         self.health.load_state_dict(state["health"])
         self.generator.set_state(state["generator"].cpu())
 

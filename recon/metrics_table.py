@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 _RATIOS = {"precision", "recall", "f_score", "completeness", "coverage_50", "coverage_90", "ratio"} | {
-    "coverage_1_sigma", "coverage_2_sigma", "ause_gain",
+    "stated_coverage_50", "stated_coverage_90", "coverage_1_sigma", "coverage_2_sigma", "ause_gain",
 }  # fmt: skip
 _UNITS = (  # suffix of a name -> (factor, unit, digits)
     ("_rad_per_m", math.degrees(1.0), "°/m", 2),

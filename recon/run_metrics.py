@@ -253,7 +253,11 @@ def score_uncertainty(frames: RunFrames, sensor: str, seed: int, on_event: OnEve
     error, beta = np.concatenate(errors), np.concatenate(betas)
     if len(error) == 0:
         raise DataError("no reading has both a beta and a true depth")
-    return evaluate_uncertainty(error, beta, np.concatenate(depths), max_readings=UNCERTAINTY_READINGS, seed=seed)
+    mapped = frames.run.manifest.stages.get("map")
+    stated = mapped.facts.get("intervals_in_betas", {}).get(sensor) if mapped else None
+    return evaluate_uncertainty(
+        error, beta, np.concatenate(depths), intervals=stated, max_readings=UNCERTAINTY_READINGS, seed=seed
+    )
 
 
 def _notes(

@@ -6,6 +6,7 @@ import math
 from dataclasses import dataclass
 from itertools import pairwise
 
+import numpy as np
 import torch
 from torch import Tensor, nn
 from torch.nn.functional import linear, softplus
@@ -136,6 +137,11 @@ class NoiseModel(PixelNetwork):
 
     def scale_and_offset(self, features: Tensor) -> tuple[Tensor, Tensor | float]:
         return self(features), 0.0
+
+    @torch.no_grad()
+    def in_betas(self, residuals: Residuals) -> np.ndarray:
+        """(N,) |residual| over beta."""
+        return (residuals.metres.abs() / self(residuals.features.float())).cpu().numpy()
 
     def beta_image(self, depth: Tensor, features: Tensor) -> Tensor:
         """depth (H, W) metres, features (H, W, F) -> beta (H, W) metres, 0 where there is no reading."""

@@ -20,6 +20,8 @@ def uncertainty_rows(metrics: UncertaintyMetrics) -> Rows:
         ("the same, best beta of depth alone", _number(metrics.nll_depth_nats), "nats"),
         ("coverage of the 50 % interval", _percent(metrics.coverage_50), "%"),
         ("coverage of the 90 % interval", _percent(metrics.coverage_90), "%"),
+        ("coverage of the stated 50 % interval", _percent(metrics.stated_coverage_50), "%"),
+        ("coverage of the stated 90 % interval", _percent(metrics.stated_coverage_90), "%"),
         ("AUSE (random order)", f"{metrics.ause:.3f} ({metrics.ause_random:.3f})", ""),
         ("AUSE of the best beta of depth alone", _number(metrics.ause_depth), ""),
         ("closer to the oracle than depth alone", _percent(metrics.ause_gain), "%"),

@@ -231,7 +231,8 @@ def test_beta_is_about_readings_with_their_bias(box_room, walk, tmp_path):
     true = box_room.depth(walk[4])
     assert np.median(np.abs(corrected / true - 1)) < 0.012  # as read: 0.04
     beta = made.mapper.noise["stereo"].beta_image(frame.depths["stereo"], features["stereo"]).numpy()
-    assert np.median(beta / (0.04 * true)) == pytest.approx(1.0, abs=0.35)
+    # All errors are as large as their bias, which just lies in the interval of 50 %: half of them could not.
+    assert np.median(beta * np.log(2) / (0.04 * true)) == pytest.approx(1.0, abs=0.15)
 
 
 def test_colours_that_contradict_what_sensors_see_from_everywhere_are_not_heard(box_room, walk, tmp_path, monkeypatch):

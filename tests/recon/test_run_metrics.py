@@ -67,6 +67,15 @@ def test_uncertainty_of_a_sensor_that_states_its_scale(mapped_run):
     assert noisy.nll_depth_nats == pytest.approx(noisy.nll_nats, abs=0.1)
 
 
+def test_stated_intervals_of_a_sensor_are_scored_where_the_map_has_them(mapped_run):
+    assert evaluate_run(mapped_run, QUICK).uncertainty["noisy"].stated_coverage_50 is None
+    stated = {"noisy": {"50": np.log(2), "90": 2 * np.log(10)}}
+    mapped_run.finish_stage("map", "1", time.time(), {"sensors": ["noisy"], "intervals_in_betas": stated})
+    noisy = evaluate_run(mapped_run, QUICK).uncertainty["noisy"]
+    assert noisy.stated_coverage_50 == noisy.coverage_50
+    assert noisy.stated_coverage_90 == pytest.approx(0.99, abs=0.01)
+
+
 def test_confidence_of_vertices_is_compared_with_their_distance(mapped_run):
     """The corners are off by 1 cm on three sides, sqrt(3) cm, and state 2 cm."""
     metrics = evaluate_run(mapped_run, QUICK).surface.confidence
