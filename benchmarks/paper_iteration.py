@@ -13,6 +13,7 @@ from pathlib import Path
 import numpy as np
 import torch
 from uncle.recon.bench.tables import markdown_table
+from uncle.recon.checkpoint import load_tensors
 from uncle.recon.config import make_config
 from uncle.recon.device import choose_device
 from uncle.recon.nice.mapper import Optimizer
@@ -44,6 +45,13 @@ class Bench:
         if warm > 1:
             for view, pose in zip(self.views, self.poses, strict=True):
                 self.system.mapper.map(view, pose, last=False)
+
+    def load(self, mapped: Path) -> None:
+        """Take scene and networks from a run that `uncle-paper` mapped from the same frames."""
+        learned = load_tensors(RunDirectory(mapped).system_path)
+        self.system.scene.load_state(learned["scene"])
+        for name, net in self.system.weighting.nets().items():
+            net.load_state_dict(learned["noise"][name])
 
     def mapping(self, stage: Stage) -> Callable[[], None]:
         """One iteration of the mapper over the window."""
@@ -112,15 +120,19 @@ def main() -> None:
     parser.add_argument("--sensors", nargs="+", default=["sl"])
     parser.add_argument("--rays", type=int, default=5000)
     parser.add_argument("--warm", type=int, default=100, help="iterations on the first frame; 1: an untouched scene")
+    parser.add_argument("--scene", type=Path, help="a run mapped with uncle-paper, whose scene is taken instead")
     parser.add_argument("--times", type=int, default=7)
     parser.add_argument("--device", choices=["auto", "cpu", "cuda"], default="cpu")
     parser.add_argument("--json", action="store_true")
     arguments = parser.parse_args()
-    bench = Bench(arguments.run, arguments.sensors, arguments.rays, arguments.warm, arguments.device)
+    warm = 1 if arguments.scene else arguments.warm
+    bench = Bench(arguments.run, arguments.sensors, arguments.rays, warm, arguments.device)
+    if arguments.scene:
+        bench.load(arguments.scene)
     rows = measure(bench, arguments.times)
     if arguments.json:
         facts = {"threads": torch.get_num_threads(), "cores": os.cpu_count(), "device": str(bench.device)}
-        print(json.dumps({**facts, "rays": arguments.rays, "warm": arguments.warm, "rows": rows}))
+        print(json.dumps({**facts, "rays": arguments.rays, "warm": warm, "scene": str(arguments.scene), "rows": rows}))
         return
     head = ["iteration", "s", "plain PyTorch s", "times quicker", "CPU s", "plain CPU s"]
     keys = ("seconds", "plain_seconds", "ratio", "cpu_seconds", "plain_cpu_seconds")
