@@ -19,8 +19,8 @@ PIXELS = 4000  # drawn from each image
 
 
 def score(frames: RunFrames, sensor: str, models: ConfidenceModels, every: int) -> dict[str, float]:
-    """Over random valid pixels of every n-th frame: Spearman's rho of 1 - confidence, and of depth alone, with the
-    true error; mean error with equal weights, and weighted by confidence, metres; mean confidence."""
+    """Over random valid pixels of every n-th frame: Spearman's rho of 1 - confidence (0 where that is the same
+    everywhere), and of depth alone, with the true error; mean error with equal weights, and weighted by confidence, metres; mean confidence."""
     rng = np.random.default_rng(0)
     errors, confidences, depths = [], [], []
     for index in range(0, len(frames), every):
@@ -33,7 +33,7 @@ def score(frames: RunFrames, sensor: str, models: ConfidenceModels, every: int) 
         depths.append(depth.numpy().ravel()[picks])
     error, confidence, depth = map(np.concatenate, (errors, confidences, depths))
     return {
-        "rho": float(spearmanr(1 - confidence, error)[0]),
+        "rho": 0.0 if np.ptp(confidence) == 0 else float(spearmanr(1 - confidence, error)[0]),
         "rho_depth": float(spearmanr(depth, error)[0]),
         "error_m": float(error.mean()),
         "weighted_error_m": float((error * confidence).sum() / confidence.sum()),
