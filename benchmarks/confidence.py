@@ -20,7 +20,8 @@ PIXELS = 4000  # drawn from each image
 
 def score(frames: RunFrames, sensor: str, models: ConfidenceModels, every: int) -> dict[str, float]:
     """Over random valid pixels of every n-th frame: Spearman's rho of 1 - confidence (0 where that is the same
-    everywhere), and of depth alone, with the true error; mean error with equal weights, and weighted by confidence, metres; mean confidence."""
+    everywhere) and of depth alone with the true error; mean error with equal weights, and weighted by confidence,
+    metres; mean confidence."""
     rng = np.random.default_rng(0)
     errors, confidences, depths = [], [], []
     for index in range(0, len(frames), every):
