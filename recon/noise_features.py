@@ -51,6 +51,12 @@ def noise_features(depth: Tensor, normals: Tensor, color: Tensor, camera: Camera
     return torch.from_numpy(planes).permute(1, 2, 0)
 
 
+def relative_spread(features: Tensor) -> Tensor:
+    """(..., F) -> (...) spread of the depth in 7 x 7 pixels around, as a share of the depth: large at its edges."""
+    inverse = 10 ** (features[..., FEATURES.index("spread_7")] + 1.5) * 1e-4 - 1e-4
+    return inverse.clamp(min=0) * features[..., FEATURES.index("depth")] * 3
+
+
 def _neighbourhood(
     inverse: np.ndarray, valid: np.ndarray, window: int, spread: np.ndarray, offset: np.ndarray, holes: np.ndarray
 ) -> None:

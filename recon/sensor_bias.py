@@ -17,10 +17,11 @@ from torch import Tensor
 from .camera import Camera
 from .color_depth import disagreement
 from .config import UncertaintyConfig
-from .noise_features import FEATURES
+from .noise_features import FEATURES, relative_spread
 from .uncertainty import PixelNetwork
 
 UNIT_M = 0.1  # of the network's output
+EDGE = 0.05  # of the depth, its spread around a pixel: windows of colour hold two surfaces there, and find neither
 MIN_ONLOOKERS = 3
 MIN_READINGS = 100  # of a view that are seen from others, to count it
 PIXELS = 1500  # of a view that are compared
@@ -30,18 +31,18 @@ NEAR_M = 1e-3  # readings that agree as well as this agree
 
 
 class SensorBias(PixelNetwork):
-    """(N, F) features -> (N,) how much too far a sensor reads, metres; nothing unless it is `believed`."""
+    """(N, F) features -> (N,) how much too far a sensor reads, metres; nothing at edges of depth."""
 
     def __init__(self, config: UncertaintyConfig, generator: torch.Generator) -> None:
         super().__init__(config, generator, FEATURES, outputs=2)
         self.register_buffer("believed", torch.zeros((), dtype=torch.bool))
 
     def forward(self, features: Tensor) -> Tensor:
-        return UNIT_M * self.outputs(features)[..., 1]
+        return self.scale_and_offset(features)[1]
 
-    def scale_and_offset(self, features: Tensor) -> tuple[Tensor, Tensor | float]:
-        outputs = self.outputs(features)
-        return self.scale(outputs), UNIT_M * outputs[..., 1]
+    def scale_and_offset(self, features: Tensor) -> tuple[Tensor, Tensor]:
+        outputs, smooth = self.outputs(features), relative_spread(features) < EDGE
+        return self.scale(outputs), UNIT_M * outputs[..., 1] * smooth
 
     def correct(self, depth: Tensor, features: Tensor) -> Tensor:
         """depth (H, W) metres as it is read, features (H, W, F) -> (H, W) as it should be."""

@@ -3,8 +3,9 @@
 import numpy as np
 import pytest
 import torch
+from uncle.recon.camera import Camera
 from uncle.recon.config import UncertaintyConfig
-from uncle.recon.noise_features import FEATURES
+from uncle.recon.noise_features import FEATURES, noise_features, relative_spread
 from uncle.recon.sensor_bias import MIN_VIEWS, BiasTrial, SensorBias
 from uncle.recon.uncertainty import Residuals
 
@@ -15,9 +16,15 @@ def generator(seed: int = 0) -> torch.Generator:
     return torch.Generator().manual_seed(seed)
 
 
+def smooth(features: torch.Tensor) -> torch.Tensor:
+    """The features, of pixels that no edge is near."""
+    features[..., FEATURES.index("spread_7")] = -1.5
+    return features
+
+
 def taught_bias(metres: float) -> SensorBias:
     """One that learned, through noise of 5 cm, that readings at depth feature x are `metres` * x too far."""
-    features = torch.randn(20_000, len(FEATURES), generator=generator(1))
+    features = smooth(torch.randn(20_000, len(FEATURES), generator=generator(1)))
     uniform = torch.rand(20_000, generator=generator(2)) - 0.5
     noise = -0.05 * uniform.sign() * torch.log1p(-2 * uniform.abs())
     bias = SensorBias(CONFIG, generator())
@@ -28,7 +35,7 @@ def taught_bias(metres: float) -> SensorBias:
 
 def test_finds_an_offset_below_the_noise():
     bias = taught_bias(0.03)
-    fresh = torch.randn(4000, len(FEATURES), generator=generator(3))
+    fresh = smooth(torch.randn(4000, len(FEATURES), generator=generator(3)))
     found = bias(fresh).detach()
     assert float((found - 0.03 * fresh[:, 0]).abs().median()) < 0.005
     slope = float((found * fresh[:, 0]).mean() / fresh[:, 0].square().mean())
@@ -36,7 +43,7 @@ def test_finds_an_offset_below_the_noise():
 
 
 def test_takes_nothing_off_unless_believed():
-    bias, features = taught_bias(0.03), torch.ones(3, len(FEATURES))
+    bias, features = taught_bias(0.03), smooth(torch.ones(3, len(FEATURES)))
     assert bias.of(features) == 0.0
     bias.believed.fill_(True)
     assert torch.equal(bias.of(features), bias(features).detach())
@@ -49,13 +56,39 @@ def test_takes_nothing_off_unless_believed():
 def test_corrects_readings_and_leaves_holes():
     bias = taught_bias(0.03)
     depth = torch.tensor([[2.0, 0.0], [1.0, 0.01]])
-    features = torch.zeros(2, 2, len(FEATURES))
+    features = smooth(torch.zeros(2, 2, len(FEATURES)))
     features[..., 0] = torch.tensor([[1.0, 1.0], [-1.0, 2.0]])
     corrected = bias.correct(depth, features)
     assert float(corrected[0, 0]) == pytest.approx(1.97, abs=0.01)
     assert float(corrected[1, 0]) == pytest.approx(1.03, abs=0.01)
     assert corrected[0, 1] == 0
     assert corrected[1, 1] == 0  # not behind the camera
+
+
+def test_says_nothing_at_edges_of_depth():
+    """One image with a step of 1 m in its middle."""
+    bias = taught_bias(0.03)
+    depth = torch.full((40, 60), 2.0)
+    depth[:, 30:] = 3.0
+    camera = Camera(60, 40, 50.0, 50.0, 29.5, 19.5)
+    normals = torch.tensor([0.0, 0.0, -1.0]).expand(40, 60, 3)
+    features = noise_features(depth, normals, torch.full((40, 60, 3), 90, dtype=torch.uint8), camera)
+    off = bias.image(depth, features)[20]
+    assert (off[27:33] == 0).all()
+    assert (off[:24] != 0).all()
+    assert (off[36:] != 0).all()
+
+
+def test_the_spread_of_depth_is_read_from_the_features():
+    camera = Camera(60, 40, 50.0, 50.0, 29.5, 19.5)
+    depth = torch.full((40, 60), 2.0)
+    depth[:, 30:] = 2.5
+    normals = torch.tensor([0.0, 0.0, -1.0]).expand(40, 60, 3)
+    features = noise_features(depth, normals, torch.full((40, 60, 3), 90, dtype=torch.uint8), camera)
+    found = relative_spread(features)[20]
+    assert float(found[10]) < 2e-3
+    window = 1 / depth[20, 27:34]  # around pixel 30
+    assert float(found[30]) == pytest.approx(float(window.std(correction=0) * depth[20, 30]), rel=0.01)
 
 
 # --- the trial ---------------------------------------------------------------------------------------------------
