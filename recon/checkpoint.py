@@ -8,7 +8,7 @@ from typing import Any
 
 import torch
 
-from .errors import RunError
+from .errors import ConfigError, RunError
 from .storage import atomic_path
 
 
@@ -29,6 +29,23 @@ def load_tensors(path: Path, device: torch.device | str = "cpu") -> dict[str, An
         raise RunError(f"there is no {path}; run `uncle map` first") from error
     except Exception as error:
         raise RunError(f"cannot read {path}: it is damaged; redo it with `uncle map --overwrite`") from error
+
+
+def load_versioned(path: Path, called: str, what: str, format: str, version: int, again: str) -> dict[str, Any]:
+    """What a file that a user names holds, if it is of the right `format` and `version`.
+
+    Raises ConfigError that begins with what the file is `called` and says that it is not `what`, or to make it `again`.
+    """
+    wrong = f"{called}: not {what}"
+    try:
+        state = load_tensors(path)
+    except RunError as error:
+        raise ConfigError(wrong) from error
+    if not isinstance(state, dict) or state.get("format") != format:
+        raise ConfigError(wrong)
+    if state.get("version") != version:
+        raise ConfigError(f"{called}: version {state.get('version')}, here {version}; {again}")
+    return state
 
 
 class Checkpoint:

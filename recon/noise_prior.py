@@ -11,7 +11,7 @@ from typing import Any
 
 import torch
 
-from .checkpoint import load_tensors, save_tensors
+from .checkpoint import load_versioned, save_tensors
 from .config import UncertaintyConfig
 from .errors import ConfigError, RunError
 from .noise_features import FEATURES
@@ -123,18 +123,11 @@ def _seen(model: NoiseModel) -> list[str]:
 
 
 def _read(path: Path) -> dict[str, dict[str, Any]]:
-    wrong = f"--prior {path}: not a file of noise models; give a run directory, or its map/noise_model.pt"
-    try:
-        state = load_tensors(path)
-    except RunError as error:
-        raise ConfigError(wrong) from error
-    if not isinstance(state, dict) or state.get("format") != FORMAT:
-        raise ConfigError(wrong)
-    if state.get("version") != VERSION:
-        raise ConfigError(f"--prior {path}: version {state.get('version')}, here {VERSION}; map that recording again")
+    called, what = f"--prior {path}", "a file of noise models; give a run directory, or its map/noise_model.pt"
+    state = load_versioned(path, called, what, FORMAT, VERSION, "map that recording again")
     sensors = state.get("sensors")
     if not isinstance(sensors, dict) or not all(_is_entry(entry) for entry in sensors.values()):
-        raise ConfigError(wrong)
+        raise ConfigError(f"{called}: not {what}")
     return sensors
 
 

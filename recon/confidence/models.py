@@ -11,8 +11,8 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from ..checkpoint import load_tensors, save_tensors
-from ..errors import ConfigError, RunError
+from ..checkpoint import load_versioned, save_tensors
+from ..errors import ConfigError
 from .network import ConfidenceNetwork, confidence_image
 
 FORMAT, VERSION = "uncle confidence network", 1
@@ -78,18 +78,11 @@ def _read(path: Path) -> tuple[str, ConfidenceNetwork]:
     """Sensor and network of a file. Raises ConfigError."""
     if not path.is_file():
         raise ConfigError(f"confidence.files: there is no {path}; make it with `uncle pretrain confidence`")
-    wrong = f"{path}: not a file of `uncle pretrain confidence`"
-    try:
-        state = load_tensors(path)
-    except RunError as error:
-        raise ConfigError(wrong) from error
-    if not isinstance(state, dict) or state.get("format") != FORMAT:
-        raise ConfigError(wrong)
-    if state.get("version") != VERSION:
-        raise ConfigError(f"{path}: version {state.get('version')}, here {VERSION}; train it again")
+    what = "a file of `uncle pretrain confidence`"
+    state = load_versioned(path, str(path), what, FORMAT, VERSION, "train it again")
     network = ConfidenceNetwork()
     try:
         network.load_state_dict({key: values.float() for key, values in state["weights"].items()})
     except (KeyError, AttributeError, RuntimeError) as error:
-        raise ConfigError(f"{wrong}, or a damaged one; train it again") from error
+        raise ConfigError(f"{path}: not {what}, or a damaged one; train it again") from error
     return str(state.get("sensor")), network.to(memory_format=torch.channels_last).eval()

@@ -10,8 +10,8 @@ from typing import Any
 import torch
 from torch import Tensor, nn
 
-from ..checkpoint import load_tensors, save_tensors
-from ..errors import ConfigError, RunError
+from ..checkpoint import load_versioned, save_tensors
+from ..errors import ConfigError
 from .network import FeatureNetwork, WeightingNetwork
 
 FORMAT, VERSION = "uncle senfunet", 1
@@ -102,15 +102,8 @@ def _half(network: nn.Module) -> dict[str, Tensor]:
 def _read(path: Path) -> SenfunetModel:
     if not path.is_file():
         raise ConfigError(f"senfunet.file: there is no {path}; make it with `uncle pretrain senfunet`")
-    wrong = f"{path}: not a file of `uncle pretrain senfunet`"
-    try:
-        state = load_tensors(path)
-    except RunError as error:
-        raise ConfigError(wrong) from error
-    if not isinstance(state, dict) or state.get("format") != FORMAT:
-        raise ConfigError(wrong)
-    if state.get("version") != VERSION:
-        raise ConfigError(f"{path}: version {state.get('version')}, here {VERSION}; train it again")
+    what = "a file of `uncle pretrain senfunet`"
+    state = load_versioned(path, str(path), what, FORMAT, VERSION, "train it again")
     try:
         first, second = state["sensors"]
         features = {}
@@ -119,7 +112,7 @@ def _read(path: Path) -> SenfunetModel:
         weighting = _filled(WeightingNetwork(), state["weighting"])
         return SenfunetModel((first, second), features, weighting, float(state["voxel_size_m"]))
     except (KeyError, AttributeError, RuntimeError, ValueError, TypeError) as error:
-        raise ConfigError(f"{wrong}, or a damaged one; train it again") from error
+        raise ConfigError(f"{path}: not {what}, or a damaged one; train it again") from error
 
 
 def _filled(network, weights: dict[str, Tensor]):
