@@ -6,7 +6,6 @@ import json
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import contextmanager
 from typing import TypeVar
 
 import cv2
@@ -83,7 +82,7 @@ class RunFrames:
 
     def stream(self, indices: Sequence[int], prepare: Callable[[Frame], T], ahead: int = 4) -> Iterator[T]:
         """Yield `prepare(frame)` of each frame, while the next `ahead` are read and prepared in the background."""
-        with ThreadPoolExecutor(max_workers=1) as pool, _one_core_less():
+        with ThreadPoolExecutor(max_workers=1) as pool:
             pending = deque(pool.submit(self._prepared, index, prepare) for index in indices[:ahead])
             for position in range(len(indices)):
                 ready = pending.popleft().result()
@@ -93,17 +92,6 @@ class RunFrames:
 
     def _prepared(self, index: int, prepare: Callable[[Frame], T]) -> T:
         return prepare(self[index])
-
-
-@contextmanager
-def _one_core_less() -> Iterator[None]:
-    """Leave a core to the background: torch's threads wait for each other in busy loops, at its expense."""
-    threads = torch.get_num_threads()
-    torch.set_num_threads(max(1, threads - 1))
-    try:
-        yield
-    finally:
-        torch.set_num_threads(threads)
 
 
 def encode_normals(normals: np.ndarray) -> np.ndarray:

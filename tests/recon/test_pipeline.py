@@ -37,20 +37,3 @@ def test_colour_that_lies_beside_its_depth_is_no_witness(off_px, asked):
     pipeline._hear_colors(frames, mapper, pipeline.Progression(), events.append)
     assert bool(looked) == asked
     assert any("3 px beside its depth" in event.text for event in events) != asked
-
-
-def test_streaming_leaves_a_core_to_the_background(make_mappable_run):
-    frames, before = RunFrames(make_mappable_run(("noisy",)), ("noisy",)), torch.get_num_threads()
-    torch.set_num_threads(4)
-    try:
-        stream = frames.stream(range(5), lambda frame: frame.index)
-        assert next(stream) == 0
-        assert torch.get_num_threads() == 3
-        assert list(stream) == [1, 2, 3, 4]
-        assert torch.get_num_threads() == 4
-        broken_off = frames.stream(range(5), lambda frame: frame.index)
-        next(broken_off)
-        broken_off.close()
-        assert torch.get_num_threads() == 4
-    finally:
-        torch.set_num_threads(before)
