@@ -27,6 +27,18 @@ device_option = click.option(
     show_default=True,
     help="Where tensors live.",
 )
+max_minutes_option = click.option(
+    "--max-minutes", type=click.FloatRange(0, min_open=True), default=None,
+    help="End the training after this time; the result then depends on the machine.",
+)  # fmt: skip
+data_option = click.option(
+    "--data", type=click.Path(path_type=Path, dir_okay=False), default=None,
+    help="Learn from a file of --prepare instead of data sets.",
+)  # fmt: skip
+prepare_option = click.option(
+    "--prepare", type=click.Path(path_type=Path, dir_okay=False), default=None,
+    help="Only write what would be learned from to one small file, for another machine.",
+)  # fmt: skip
 
 
 KNOWN_SENSORS = frozenset({"depth", "gt", "sl", "tof", "sgm", "psmnet"})

@@ -8,7 +8,7 @@ from pathlib import Path
 import click
 
 from .console import listener
-from .options import device_option, seed_option
+from .options import data_option, device_option, max_minutes_option, prepare_option, seed_option
 from .training_data import open_sources
 
 
@@ -27,12 +27,9 @@ from .training_data import open_sources
               help="Step size of RMSprop; it falls to a tenth.")  # fmt: skip
 @click.option("--penalty", type=click.FloatRange(0, min_open=True), default=0.015, show_default=True,
               help="Lambda of the loss: readings with a smaller error, metres, are trusted fully.")  # fmt: skip
-@click.option("--max-minutes", type=click.FloatRange(0, min_open=True), default=None,
-              help="End the training after this time; the result then depends on the machine.")  # fmt: skip
-@click.option("--data", type=click.Path(path_type=Path, dir_okay=False), default=None,
-              help="Learn from a file of --prepare instead of data sets.")  # fmt: skip
-@click.option("--prepare", type=click.Path(path_type=Path, dir_okay=False), default=None,
-              help="Only write what would be learned from to one small file, for another machine.")  # fmt: skip
+@max_minutes_option
+@data_option
+@prepare_option
 @seed_option
 @device_option
 @click.pass_context

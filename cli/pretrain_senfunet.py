@@ -8,7 +8,15 @@ from pathlib import Path
 import click
 
 from .console import listener
-from .options import SensorsCommand, device_option, seed_option, sensors_option
+from .options import (
+    SensorsCommand,
+    data_option,
+    device_option,
+    max_minutes_option,
+    prepare_option,
+    seed_option,
+    sensors_option,
+)
 from .training_data import open_sources
 
 
@@ -28,12 +36,9 @@ from .training_data import open_sources
               help="Cubes of 16 x 16 x 16 samples around each frame that are compared with the truth.")  # fmt: skip
 @click.option("--learning-rate", type=click.FloatRange(0, min_open=True), default=2e-3, show_default=True,
               help="Step size of Adam; it falls to a tenth.")  # fmt: skip
-@click.option("--max-minutes", type=click.FloatRange(0, min_open=True), default=None,
-              help="End the training after this time; the result then depends on the machine.")  # fmt: skip
-@click.option("--data", type=click.Path(path_type=Path, dir_okay=False), default=None,
-              help="Learn from a file of --prepare instead of data sets.")  # fmt: skip
-@click.option("--prepare", type=click.Path(path_type=Path, dir_okay=False), default=None,
-              help="Only write what would be learned from to one small file, for another machine.")  # fmt: skip
+@max_minutes_option
+@data_option
+@prepare_option
 @seed_option
 @device_option
 @click.pass_context
