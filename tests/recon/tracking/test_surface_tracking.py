@@ -45,8 +45,8 @@ def depth_of(room, pose: np.ndarray) -> np.ndarray:
     return depth
 
 
-def noisy(depth: np.ndarray, index: int) -> np.ndarray:
-    error = np.random.default_rng(index).laplace(0.0, 0.001, depth.shape)
+def noisy(depth: np.ndarray, index: int, draw: int = 0) -> np.ndarray:
+    error = np.random.default_rng(index + 1000 * draw).laplace(0.0, 0.001, depth.shape)
     return np.where(depth > 0, np.round(depth + error * depth**2, 3), 0.0)
 
 
@@ -73,12 +73,12 @@ class Followed:
         return np.array([np.linalg.norm(pose[:3, 3] - truth[i][:3, 3]) for i, pose in self.poses.items()])
 
 
-def follow(room, depths: Sequence[np.ndarray], first: np.ndarray) -> Followed:
+def follow(room, depths: Sequence[np.ndarray], first: np.ndarray, draw: int = 0) -> Followed:
     """Track by depth alone; keyframes and every third frame enter the map, as in `uncle map --track --no-color`."""
     volume = FusionVolume(SparseGrid(0.02), room.camera, TRUNCATION_M, 6.0)
     tracker = AlignTracker(room.camera, TrackingConfig(color=False), 0, (None,), volume)
     for index, exact in enumerate(depths):
-        depth = torch.from_numpy(noisy(exact, index)).float()
+        depth = torch.from_numpy(noisy(exact, index, draw)).float()
         surface = torch.from_numpy(np.asarray(normals(smooth_depth(depth.numpy()), room.camera))).float()
         black = torch.zeros(*depth.shape, 3, dtype=torch.uint8)
         frame = Frame(index, float(index), black, {"depth": depth}, first if index == 0 else None)
@@ -88,6 +88,15 @@ def follow(room, depths: Sequence[np.ndarray], first: np.ndarray) -> Followed:
             volume.allocate(depth, T)
             volume.integrate(depth, None, black, T)
     return Followed(tracker, tracker.finish())
+
+
+def typical_drift_m(room, poses: list[np.ndarray], draws: int = 3) -> float:
+    """How far the camera gets off at most, the median of several draws of the noise: a single one differs by 1 cm."""
+    depths = [depth_of(room, pose) for pose in poses]
+    results = [follow(room, depths, poses[0], draw) for draw in range(draws)]
+    assert not any("lost" in result.statuses for result in results)
+    assert all(len(result.tracker.graph.keyframes) > 3 for result in results)
+    return float(np.median([result.off_m(poses).max() for result in results]))
 
 
 def steps(room, step_m: float, count: int = 9) -> list[np.ndarray]:
@@ -100,20 +109,13 @@ def steps(room, step_m: float, count: int = 9) -> list[np.ndarray]:
 
 @pytest.mark.parametrize("step_m", [0.05, 0.07, 0.10, 0.15])
 def test_fast_motion_is_followed(box_room, step_m):
-    poses = steps(box_room, step_m)
-    result = follow(box_room, [depth_of(box_room, pose) for pose in poses], poses[0])
-    assert "lost" not in result.statuses
-    assert result.off_m(poses).max() < 0.04  # rounding alone changes it by a centimetre
-    assert len(result.tracker.graph.keyframes) > 3
+    assert typical_drift_m(box_room, steps(box_room, step_m)) < 0.03
 
 
 def test_sudden_turning_back_is_followed(box_room):
     """Where the motion so far leads, the camera is not: 20 cm off."""
     ways = steps(box_room, 0.10, 4)
-    poses = [*ways, *ways[-2::-1], *ways[1:]]
-    result = follow(box_room, [depth_of(box_room, pose) for pose in poses], poses[0])
-    assert "lost" not in result.statuses
-    assert result.off_m(poses).max() < 0.02  # rounding alone changes it by millimetres
+    assert typical_drift_m(box_room, [*ways, *ways[-2::-1], *ways[1:]]) < 0.02
 
 
 def test_a_lost_camera_is_found_at_a_keyframe(box_room):
