@@ -45,11 +45,13 @@ class PosedDepth(Protocol):
 
 @dataclass(frozen=True)
 class ColorDepth:
-    """depth (H, W) float32 metres, 0 = none; features (H, W, F) float16 for its noise model; where it was taken."""
+    """depth (H, W) float32 metres, 0 = none, and how far that `moved` from where it was looked for; features (H, W, F)
+    float16 for its noise model; where it was taken."""
 
     index: int
     T_world_camera: np.ndarray
     depth: np.ndarray
+    moved: np.ndarray
     features: np.ndarray
     sources: tuple[int, ...]
 
@@ -94,7 +96,10 @@ def depth_by_color(camera: Camera, reference: GreyView, sources: list[GreyView],
         np.log10(depth**2 * step + 1e-4) + 1.5, np.abs(offset) / half, best - volume[half], _surprise(offset) / half,
     ]  # fmt: skip
     features = np.stack(planes, -1).astype(np.float16)
-    return ColorDepth(reference.index, reference.T_world_camera, depth, features, tuple(s.index for s in sources))
+    moved = np.where(valid, np.abs(depth - prior), 0).astype(np.float32)
+    return ColorDepth(
+        reference.index, reference.T_world_camera, depth, moved, features, tuple(s.index for s in sources)
+    )
 
 
 def disagreement(

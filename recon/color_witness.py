@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
@@ -27,18 +28,24 @@ FULL_SIZE_PIXELS = 200_000  # larger images are halved: finer pixels than the ma
 SAMPLES = 4000  # pixels of a view that teach
 MIN_ONLOOKERS = 3
 CONFIRMED_SHARE = 3.0  # depth errs alike in neighbouring frames, colour that is known to be exact does not
+SURPRISE = math.log(2)  # betas of colour: half of its readings are this far from a surface that is right
 MAX_REGISTRATION_PX = 1.0  # colour that lies further beside its depth is not heard: twice the step of the search
-_STATE = ("frames", "indices", "poses", "depths", "betas", "testimony", "share")
+_STATE = ("looks", "off", "frames", "indices", "poses", "depths", "betas", "testimony", "share")
 TESTIMONY = 3000  # pixels of a view that the sensors' models learn from
 
 
 class ColorWitness:
     """Depth by colour of some views, with the beta of each pixel; metres, (h, w) at the size it works at."""
 
-    def __init__(self, camera: Camera, config: ColorConfig, uncertainty: UncertaintyConfig, seed: int) -> None:
+    def __init__(
+        self, camera: Camera, config: ColorConfig, uncertainty: UncertaintyConfig, voxel_size_m: float, seed: int
+    ) -> None:
+        self.voxel_size_m = voxel_size_m
         self.full, self.config, self.uncertainty, self.seed = camera, config, uncertainty, seed
         large = camera.width * camera.height > FULL_SIZE_PIXELS
         self.camera = camera.resized(camera.width // 2, camera.height // 2) if large else camera
+        self.looks = 0  # so far
+        self.off = 0.0  # where colour finds the surface, from where it was looked for: median in betas
         self.frames = 0  # that the views stand for
         self.poses: list[Tensor] = []
         self.depths: list[Tensor] = []
@@ -55,7 +62,7 @@ class ColorWitness:
         Returns the mean negative log-likelihood in nats; None if nothing was found.
         """
         images = self._match(frames, poses, surface, on_event)
-        self.frames = len(poses)
+        self.looks, self.off, self.frames = self.looks + 1, 0.0, len(poses)
         self.indices, self.poses, self.depths, self.betas, self.testimony = [], [], [], [], {}
         generator = torch.Generator().manual_seed(self.seed)
         noise = NoiseModel(self.uncertainty, generator, FEATURES)
@@ -68,7 +75,13 @@ class ColorWitness:
             self.poses.append(torch.from_numpy(image.T_world_camera).float())
             self.depths.append(depth)
             self.betas.append(noise.beta_image(depth, torch.from_numpy(image.features).float()).half())
+        self.off = self._typically_off([torch.from_numpy(image.moved) for image in images])
         return loss
+
+    def asked_again(self) -> bool:
+        """Whether colour is known to be exact, and found the surface where it was not looked for: the next look, around
+        the new surface, finds more."""
+        return self.share > 1 and self.off > SURPRISE and self.looks < self.config.looks
 
     def judge(self, confirmed: float) -> None:
         """Count for more or not at all, given the share of the views of sensors that agree better with each other once
@@ -162,6 +175,12 @@ class ColorWitness:
         size = (self.camera.width, self.camera.height)
         small = cv2.resize(grey, size, interpolation=cv2.INTER_AREA) if self.camera is not self.full else grey
         return small.astype(np.float32)
+
+    def _typically_off(self, moved: list[Tensor]) -> float:
+        """Median in betas of how far the depth of each view `moved`, (h, w) metres, where it can tell samples apart."""
+        sure = [(d > 0) & (b < self.voxel_size_m) for d, b in zip(self.depths, self.betas, strict=True)]
+        betas = [m[s] / b[s].float() for m, b, s in zip(moved, self.betas, sure, strict=True)]
+        return float(torch.cat(betas).median()) if any(map(len, betas)) else 0.0
 
     # --- noise -------------------------------------------------------------------------------------------------
     def _learn(self, noise: NoiseModel, images: list[ColorDepth], generator: torch.Generator) -> float | None:

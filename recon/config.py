@@ -92,6 +92,11 @@ class ColorConfig(Strict):
     enabled: bool = Field(
         True, description="Correct the surface by what colours of several views agree on; needs the uncertainty."
     )
+    looks: int = Field(
+        2,
+        ge=1,
+        description="Times that colour is asked, at most: again around the surface it led to, if that is a new one.",
+    )
     max_views: int = Field(150, ge=3, description="Views whose depth is looked for, at most.")
     shift: float = Field(
         0.03, gt=0, description="A view is chosen when the camera moved by this share of the depth it sees,"

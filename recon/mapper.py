@@ -47,7 +47,7 @@ class Mapper:
         self.rays = RayStore(config.keyframes.max_rays)
         self.log = FusionLog()  # used while poses can still change
         self.said = dict.fromkeys(sensors, 0.0)  # weight of all readings of each sensor in the map
-        self.witness = ColorWitness(camera, config.color, config.uncertainty, config.seed)
+        self.witness = ColorWitness(camera, config.color, config.uncertainty, fusion.voxel_size_m, config.seed)
         self._surface: MapSurface | None = None  # until something is fused
         self.health = SensorHealth(camera, sensors, config.health, poses_given=not config.tracking.enabled)
 
@@ -252,7 +252,7 @@ class Mapper:
             "blocks": self.volume.grid.blocks,
             "sums": self.volume.sums,
             "color_sums": self.volume.color_sums,
-            "noise": {s: (m.state_dict(), m.optimizer.state_dict()) for s, m in self.noise.items()},
+            "noise": {sensor: model.training_state() for sensor, model in self.noise.items()},
             "keyframes": self.selector.T_camera_world,
             "rays": self.rays.columns,
             "log": self.log.state_dict(),
@@ -268,9 +268,8 @@ class Mapper:
         self.volume.grid.restore(state["blocks"].to(self.device))
         self.volume.sums = state["sums"].to(self.device)
         self.volume.color_sums = state["color_sums"].to(self.device)
-        for sensor, (weights, optimizer) in state["noise"].items():
-            self.noise[sensor].load_state_dict(weights)
-            self.noise[sensor].optimizer.load_state_dict(optimizer)
+        for sensor, trained in state["noise"].items():
+            self.noise[sensor].load_training_state(trained)
         self.selector.T_camera_world = list(state["keyframes"])
         self.rays.columns = {name: values.to(self.device) for name, values in state["rays"].items()}
         self.log.load_state_dict(state["log"])

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import math
-import time
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -22,6 +21,7 @@ from .field import NeuralField
 from .frame import Frame
 from .mapper import Mapper
 from .noise_prior import NoisePrior
+from .progression import Progression, timed
 from .recording import RunFrames
 from .refine import refine
 from .sensor_biases import TRIAL_VIEWS
@@ -31,17 +31,6 @@ from .tracking_record import TrackingRecord
 
 # (frame index, sensor, beta (H, W) metres): called once for every mapped frame with the final noise models
 OnBeta = Callable[[int, str, Tensor], None]
-
-
-@dataclass
-class Progression:
-    """How far the reconstruction is: the sweep, the next position in it, and what was recorded on the way."""
-
-    sweep: int = 0
-    position: int = 0
-    poses: dict[int, list[list[float]]] = field(default_factory=dict)
-    losses: dict[str, list[float]] = field(default_factory=dict)
-    seconds: dict[str, float] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -80,16 +69,19 @@ def reconstruct(
     The noise models of sensors that are in `prior` start from it.
 
     The first sweep explores: track, map, record, frame by frame, learning the noise online. Then the trajectory is
-    made consistent, and each later sweep fuses all frames again with poses and weights as known by then. At last the
-    field is refined by rendering, and beta maps are written.
+    made consistent, and each later sweep fuses all frames again with poses and weights as known by then. Colour that
+    finds the surface elsewhere is asked again around the new one, which takes one more sweep. At last the field is
+    refined by rendering, and beta maps are written.
     """
     mapper = Mapper(frames.camera, frames.sensors, config, choose_device(config.device))
     if prior is not None:
         prior.teach(mapper.noise)
     tracker = choose_tracker(frames, config, mapper)
-    sweeps = max(config.fusion.sweeps, int(config.tracking.enabled))  # poses that moved need one more
     progress = _restore(checkpoint, mapper, tracker, on_event)
-    for sweep in range(progress.sweep, 1 + sweeps):
+    if progress is None:  # poses that moved need one more sweep
+        progress = Progression(last=max(config.fusion.sweeps, int(config.tracking.enabled)))
+    while progress.sweep <= progress.last:
+        sweep = progress.sweep
         for view in _sweep_views(frames, indices, sweep, mapper, tracker, progress, on_event):
             if sweep == 0:
                 _explore(view, frames, mapper, tracker, progress)
@@ -100,20 +92,21 @@ def reconstruct(
                 _save(checkpoint, mapper, tracker, progress)
         if config.tracking.enabled:
             require_found(progress.poses, len(indices))
-        with _timed(progress, "learning"):
-            _end_sweep(mapper, progress, last=sweep == sweeps)
+        with timed(progress, "learning"):
+            _end_sweep(mapper, progress)
         if sweep == 0:
-            with _timed(progress, "tracking"):
+            with timed(progress, "tracking"):
                 _settle(mapper, tracker, progress)
-            with _timed(progress, "colours"):
+        if sweep == 0 or mapper.witness.asked_again():
+            with timed(progress, "colours"):
                 _hear_colors(frames, mapper, progress, on_event)
-        if sweep < sweeps:
+        if sweep < progress.last:
             mapper.forget_readings()
         progress.sweep, progress.position = sweep + 1, 0
         _save(checkpoint, mapper, tracker, progress)
-    with _timed(progress, "refining"):
+    with timed(progress, "refining"):
         result, losses = _refined_field(mapper, config, on_event)
-    with _timed(progress, "beta maps"):
+    with timed(progress, "beta maps"):
         _write_betas(frames, sorted(progress.poses), mapper, on_beta, on_event)
     poses = {index: np.array(matrix) for index, matrix in progress.poses.items()}
     return Reconstruction(
@@ -133,11 +126,11 @@ def choose_tracker(frames: RunFrames, config: MapConfig, mapper: Mapper | None) 
 def _explore(view: View, frames: RunFrames, mapper: Mapper, tracker: Tracker, progress: Progression) -> None:
     """Track, judge the sensors, map, record."""
     frame, tracking = mapper.health.look(view.frame), mapper.config.tracking
-    with _timed(progress, "tracking"):
+    with timed(progress, "tracking"):
         T_world_camera = tracker.track(mapper.health.without_suspects(frame), view.prepared, view.features)
     if T_world_camera is None:
         return
-    with _timed(progress, "sweep 1"):
+    with timed(progress, "sweep 1"):
         _follow(frames, mapper, tracker)
         frame = mapper.judge(frame, mapper.pose(T_world_camera))
         if not tracking.enabled or tracker.is_keyframe() or progress.position % tracking.explore_every == 0:
@@ -172,7 +165,7 @@ def _fuse(view: View, mapper: Mapper, progress: Progression) -> None:
     recorded = progress.poses.get(view.frame.index)
     if recorded is None:
         return
-    with _timed(progress, f"sweep {progress.sweep + 1}"):
+    with timed(progress, f"sweep {progress.sweep + 1}"):
         pose = mapper.pose(recorded)
         frame = mapper.bias.corrected(view.frame, view.features)
         if mapper.config.tracking.enabled or frame is not view.frame:  # the camera or the readings moved since
@@ -213,19 +206,19 @@ def _sweep_views(
     on_event(Progress(stage, len(indices), len(indices)))
 
 
-def _end_sweep(mapper: Mapper, progress: Progression, last: bool) -> None:
+def _end_sweep(mapper: Mapper, progress: Progression) -> None:
     """Complete the map by what colour says, and learn from the whole of it; at last about the readings as they come."""
     if not mapper.volume.grid.rows:
         raise DataError("no frame could be mapped: no depth reading within range has a camera pose")
     mapper.add_colors()
     if mapper.config.uncertainty.enabled:
-        for sensor, loss in mapper.learn(as_read=last).items():
+        for sensor, loss in mapper.learn(as_read=progress.sweep == progress.last).items():
             if math.isfinite(loss):
                 progress.losses.setdefault(f"noise {sensor}", []).append(loss)
 
 
 def _hear_colors(frames: RunFrames, mapper: Mapper, progress: Progression, on_event: OnEvent) -> None:
-    """Ask colour, around the surface of the exploration, where it is; heard in the sweeps that follow."""
+    """Ask colour, around the surface that the map shows, where it is; heard in the sweeps that follow."""
     config = mapper.config
     if not (config.color.enabled and config.uncertainty.enabled and config.fusion.sweeps):
         return
@@ -243,6 +236,8 @@ def _hear_colors(frames: RunFrames, mapper: Mapper, progress: Progression, on_ev
         tried = mapper.witness.indices[:: 1 + len(mapper.witness.indices) // TRIAL_VIEWS]
         mapper.bias.hear(mapper.witness, ((view.frame, view.features) for view in _views(frames, tried, mapper)))
         mapper.learn()
+    if mapper.witness.asked_again():
+        progress.last = max(progress.last, progress.sweep + 2)
 
 
 def _refined_field(mapper: Mapper, config: MapConfig, on_event: OnEvent) -> tuple[NeuralField, list[float]]:
@@ -273,26 +268,12 @@ def _save(checkpoint: Checkpoint, mapper: Mapper, tracker: Tracker, progress: Pr
     )  # fmt: skip
 
 
-def _restore(checkpoint: Checkpoint, mapper: Mapper, tracker: Tracker, on_event: OnEvent) -> Progression:
+def _restore(checkpoint: Checkpoint, mapper: Mapper, tracker: Tracker, on_event: OnEvent) -> Progression | None:
     state: dict[str, Any] | None = checkpoint.load()
     if state is None:
-        return Progression()
+        return None
     mapper.load_state_dict(state["mapper"])
     tracker.load_state_dict(state["tracker"])
     progress = Progression(**state["progress"])
     on_event(Note(f"continuing at sweep {progress.sweep + 1}, frame {progress.position}"))
     return progress
-
-
-class _timed:
-    """Adds the seconds of a block to `progress.seconds[name]`."""
-
-    def __init__(self, progress: Progression, name: str) -> None:
-        self.progress, self.name = progress, name
-
-    def __enter__(self) -> None:
-        self.started = time.perf_counter()
-
-    def __exit__(self, *_: object) -> None:
-        spent = time.perf_counter() - self.started
-        self.progress.seconds[self.name] = self.progress.seconds.get(self.name, 0.0) + spent

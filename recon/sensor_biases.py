@@ -75,9 +75,11 @@ class SensorBiases:
 
     def state_dict(self) -> dict[str, Any]:
         """Plain tensors and containers."""
-        return {"models": {s: m.state_dict() for s, m in self.models.items()}, "confirmed": self.confirmed}
+        models = {sensor: model.training_state() for sensor, model in self.models.items()}
+        return {"models": models, "confirmed": self.confirmed, "generator": self.generator.get_state()}
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
-        for sensor, weights in state["models"].items():
-            self.models[sensor].load_state_dict(weights)
+        for sensor, trained in state["models"].items():
+            self.models[sensor].load_training_state(trained)
         self.confirmed = dict(state["confirmed"])
+        self.generator.set_state(state["generator"].cpu())

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 import torch
@@ -116,6 +117,14 @@ class PixelNetwork(nn.Module):
             self.optimizer.step(self.config.learning_rate * (1 - 0.9 * step / steps))
             nats = laplace_nll(*misses).detach().mean() if step + 1 == steps else nats
         return float(nats)
+
+    def training_state(self) -> tuple[dict[str, Any], dict[int, dict[str, Any]]]:
+        """Plain tensors and containers that `load_training_state` goes on learning from, bit for bit."""
+        return self.state_dict(), self.optimizer.state_dict()
+
+    def load_training_state(self, state: tuple[dict[str, Any], dict[int, dict[str, Any]]]) -> None:
+        self.load_state_dict(state[0])
+        self.optimizer.load_state_dict(state[1])
 
 
 class NoiseModel(PixelNetwork):

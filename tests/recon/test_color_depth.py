@@ -35,7 +35,7 @@ def plane_view(index: int, distance_m: float, x_m: float = 0.0, wall_m: float = 
     pose = np.eye(4)
     pose[0, 3], pose[2, 3] = x_m, wall_m - 2.0
     depth = np.full((60, 80), distance_m, np.float32)
-    return ColorDepth(index, pose, depth, np.zeros((60, 80, len(FEATURES)), np.float16), ())
+    return ColorDepth(index, pose, depth, np.zeros_like(depth), np.zeros((60, 80, len(FEATURES)), np.float16), ())
 
 
 # --- depth -------------------------------------------------------------------------------------------------------

@@ -16,6 +16,7 @@ from uncle.recon.recording import RunFrames
 from uncle.recon.sensor_bias import CONFIRMED, REFUTED
 
 STEPS = UncertaintyConfig(steps_per_sweep=150, learning_rate=0.01)
+VOXEL_M = 0.05
 QUICK = [
     "fusion.voxel_size_m=0.05", "fusion.min_readings=2", "keyframes.rays=500", "field.iterations=0",
     "uncertainty.steps_per_keyframe=4", "uncertainty.steps_per_sweep=120", "uncertainty.learning_rate=0.01",
@@ -73,7 +74,7 @@ def walk(box_room) -> list[np.ndarray]:
 
 def witness_of(room, walk, scale=1.04, config=None, **paint) -> tuple[ColorWitness, float | None]:
     frames = RoomFrames(room, walk, **paint)
-    witness = ColorWitness(room.camera, config or ColorConfig(), STEPS, seed=0)
+    witness = ColorWitness(room.camera, config or ColorConfig(), STEPS, VOXEL_M, seed=0)
     return witness, witness.look(frames, dict(enumerate(walk)), OffSurface(room, scale))
 
 
@@ -126,7 +127,7 @@ def test_large_images_are_halved_and_come_back_at_full_size(box_room, walk):
 
 def test_the_view_of_an_odd_size_covers_the_same_field(box_room):
     camera = box_room.camera.resized(641, 481)
-    small = ColorWitness(camera, ColorConfig(), STEPS, 0).camera
+    small = ColorWitness(camera, ColorConfig(), STEPS, VOXEL_M, 0).camera
     edges = [
         ((-0.5 - c.cx) / c.fx, (c.width - 0.5 - c.cx) / c.fx, (c.height - 0.5 - c.cy) / c.fy) for c in (camera, small)
     ]
@@ -147,12 +148,21 @@ def test_same_seed_same_readings_and_state_comes_back(box_room, walk):
     first, loss = witness_of(box_room, walk[:6])
     second, again = witness_of(box_room, walk[:6])
     assert loss == again
-    restored = ColorWitness(box_room.camera, ColorConfig(), STEPS, 1)
+    restored = ColorWitness(box_room.camera, ColorConfig(), STEPS, VOXEL_M, 1)
     restored.load_state_dict(first.state_dict())
     assert restored.frames_per_view == first.frames_per_view
     for other in (second, restored):
         for ours, theirs in zip(first.readings(), other.readings(), strict=True):
             assert all(map(torch.equal, ours, theirs))
+
+
+@pytest.mark.parametrize(("scale", "share", "again"), [(1.04, 3.0, True), (1.0, 3.0, False), (1.04, 1.0, False)])
+def test_colour_that_is_exact_is_asked_again_where_it_found_another_surface(box_room, walk, scale, share, again):
+    witness, _ = witness_of(box_room, walk, scale=scale)
+    witness.share = share
+    assert witness.asked_again() == again
+    witness.look(RoomFrames(box_room, walk), dict(enumerate(walk)), OffSurface(box_room, scale))
+    assert not witness.asked_again()  # looks: 2
 
 
 # --- when it says nothing ----------------------------------------------------------------------------------------
@@ -188,7 +198,7 @@ def test_an_empty_map(box_room, walk):
         def typical_distance(self, camera, T_world_camera):
             return None
 
-    witness = ColorWitness(box_room.camera, ColorConfig(), STEPS, 0)
+    witness = ColorWitness(box_room.camera, ColorConfig(), STEPS, VOXEL_M, 0)
     assert witness.look(RoomFrames(box_room, walk), dict(enumerate(walk)), Nothing(box_room, 1.0)) is None
 
 
@@ -212,7 +222,9 @@ def off_by(room, mapper: Mapper, walk) -> float:
 def test_the_map_overcomes_a_bias_that_its_only_sensor_always_has(box_room, walk, tmp_path):
     with_colors = reconstructed(box_room, walk, tmp_path / "a")
     without = reconstructed(box_room, walk, tmp_path / "b", "color.enabled=false")
-    assert len(with_colors.curves["noise of colour"]) == 1
+    assert len(with_colors.curves["noise of colour"]) == 2  # asked again: the first surface was off
+    assert "sweep 3" in with_colors.seconds
+    assert "sweep 3" not in without.seconds
     assert "noise of colour" not in without.curves
     assert not without.mapper.witness.depths
     assert off_by(box_room, without.mapper, walk) == pytest.approx(0.04, abs=0.006)
@@ -263,9 +275,10 @@ def test_colours_are_not_looked_at(box_room, walk, tmp_path, monkeypatch, method
     assert not list(made.mapper.witness.readings())
 
 
-def test_a_map_that_was_broken_off_is_the_same_with_colours(box_room, walk, tmp_path):
+@pytest.mark.parametrize("stage", ["fusing again, sweep 2", "fusing again, sweep 3"])
+def test_a_map_that_was_broken_off_is_the_same_with_colours(box_room, walk, tmp_path, stage):
     def break_off(event) -> None:
-        if isinstance(event, Progress) and event.stage.startswith("fusing again") and event.done == 4:
+        if isinstance(event, Progress) and event.stage == stage and event.done == 4:
             raise InterruptedError
 
     unbroken = reconstructed(box_room, walk, tmp_path / "a")
@@ -286,7 +299,16 @@ def test_a_view_weighs_as_much_as_the_frames_it_stands_for(box_room, walk):
     config = make_config("uncle", ["fusion.voxel_size_m=0.05", "fusion.blur_voxels=1"], device="cpu")
     mapper = Mapper(box_room.camera, ("stereo",), config, torch.device("cpu"))
     depth = torch.full((120, 160), 2.0)
-    state = {"frames": 7, "indices": [0], "poses": [torch.eye(4)], "depths": [depth], "testimony": {}, "share": 1.5}
+    state = {
+        "looks": 1,
+        "off": 0.0,
+        "frames": 7,
+        "indices": [0],
+        "poses": [torch.eye(4)],
+        "depths": [depth],
+        "testimony": {},
+        "share": 1.5,
+    }
     mapper.witness.load_state_dict(state | {"betas": [torch.full_like(depth, 0.0625).half()]})
     mapper.add_colors()
     mapper.add_colors()
