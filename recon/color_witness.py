@@ -45,7 +45,7 @@ class ColorWitness:
         large = camera.width * camera.height > FULL_SIZE_PIXELS
         self.camera = camera.resized(camera.width // 2, camera.height // 2) if large else camera
         self.looks = 0  # so far
-        self.off = 0.0  # where colour finds the surface, from where it was looked for: median in betas
+        self.off = 0.0  # where colour found the surface, from where it was looked for: median in betas, the worst look
         self.frames = 0  # that the views stand for
         self.poses: list[Tensor] = []
         self.depths: list[Tensor] = []
@@ -62,7 +62,7 @@ class ColorWitness:
         Returns the mean negative log-likelihood in nats; None if nothing was found.
         """
         images = self._match(frames, poses, surface, on_event)
-        self.looks, self.off, self.frames = self.looks + 1, 0.0, len(poses)
+        self.looks, self.frames = self.looks + 1, len(poses)
         self.indices, self.poses, self.depths, self.betas, self.testimony = [], [], [], [], {}
         generator = torch.Generator().manual_seed(self.seed)
         noise = NoiseModel(self.uncertainty, generator, FEATURES)
@@ -75,12 +75,12 @@ class ColorWitness:
             self.poses.append(torch.from_numpy(image.T_world_camera).float())
             self.depths.append(depth)
             self.betas.append(noise.beta_image(depth, torch.from_numpy(image.features).float()).half())
-        self.off = self._typically_off([torch.from_numpy(image.moved) for image in images])
+        self.off = max(self.off, self._typically_off([torch.from_numpy(image.moved) for image in images]))
         return loss
 
     def asked_again(self) -> bool:
-        """Whether colour is known to be exact, and found the surface where it was not looked for: the next look, around
-        the new surface, finds more."""
+        """Whether colour is known to be exact, and once found the surface where it was not looked for: that moves the
+        map and the biases of the sensors, and from there it finds more."""
         return self.share > 1 and self.off > SURPRISE and self.looks < self.config.looks
 
     def judge(self, confirmed: float) -> None:

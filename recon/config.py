@@ -93,7 +93,7 @@ class ColorConfig(Strict):
         True, description="Correct the surface by what colours of several views agree on; needs the uncertainty."
     )
     looks: int = Field(
-        2,
+        3,
         ge=1,
         description="Times that colour is asked, at most: again around the surface it led to, if that is a new one.",
     )
