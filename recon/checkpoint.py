@@ -51,7 +51,7 @@ def load_versioned(path: Path, called: str, what: str, format: str, version: int
 class Checkpoint:
     """Saves a state at most every `interval_s` seconds; refuses to continue one of other settings."""
 
-    def __init__(self, path: Path, config_hash: str, interval_s: float = 15.0) -> None:
+    def __init__(self, path: Path, config_hash: str, interval_s: float = 30.0) -> None:
         self.path, self.config_hash, self.interval_s = path, config_hash, interval_s
         self._last = time.monotonic()
 

@@ -15,6 +15,7 @@ from torch import Tensor
 
 from .camera import Camera
 from .grid import BLOCK, ROWS
+from .threads import share_out
 
 MIN_Z_M = 0.05
 _BLOCKS_AT_A_TIME = 2048
@@ -104,11 +105,12 @@ def _readings(
 
 
 def _integrate_compiled(sums, color_sums, ids, corners, steps, seen, camera, bounds, sign) -> None:
+    """Blocks are shared out to threads; each has samples of its own."""
     rotation = seen.T_camera_world[:3, :3]
+    corners = (corners @ rotation.T + seen.T_camera_world[:3, 3]).numpy()
     nothing = torch.zeros(0, 0)
-    _add(
-        sums.numpy(), color_sums.numpy(), ids.numpy(),
-        (corners @ rotation.T + seen.T_camera_world[:3, 3]).numpy(), (steps @ rotation.T).numpy(),
+    given = (
+        (steps @ rotation.T).numpy(),
         *(_image(seen.depth if image is None else image) for image in (seen.depth, seen.weight)),
         *(_image(nothing if image is None else image) for image in (seen.free_weight, seen.doubt_m)),
         np.zeros((0, 0, 3), np.uint8) if seen.color is None else np.ascontiguousarray(seen.color.numpy()),
@@ -116,6 +118,11 @@ def _integrate_compiled(sums, color_sums, ids, corners, steps, seen, camera, bou
         np.array([camera.fx, camera.fy, camera.cx + 0.5, camera.cy + 0.5], np.float32),
         np.float32(bounds.truncation_m), np.float32(bounds.max_depth_m), np.float32(sign),
     )  # fmt: skip
+
+    def add(blocks: slice) -> None:
+        _add(sums.numpy(), color_sums.numpy(), ids.numpy()[blocks], corners[blocks], *given)
+
+    share_out(add, len(ids))
 
 
 def _image(values: Tensor) -> np.ndarray:

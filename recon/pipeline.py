@@ -92,18 +92,12 @@ def reconstruct(
                 _save(checkpoint, mapper, tracker, progress)
         if config.tracking.enabled:
             require_found(progress.poses, len(indices))
-        with timed(progress, "learning"):
-            _end_sweep(mapper, progress)
-        if sweep == 0:
-            with timed(progress, "tracking"):
-                _settle(mapper, tracker, progress)
-        if sweep == 0 or mapper.witness.asked_again():
-            with timed(progress, "colours"):
-                _hear_colors(frames, mapper, progress, on_event)
+        _end_sweep(frames, mapper, tracker, progress, on_event)
         if sweep < progress.last:
             mapper.forget_readings()
         progress.sweep, progress.position = sweep + 1, 0
-        _save(checkpoint, mapper, tracker, progress)
+        if checkpoint.due():
+            _save(checkpoint, mapper, tracker, progress)
     with timed(progress, "refining"):
         result, losses = _refined_field(mapper, config, on_event)
     with timed(progress, "beta maps"):
@@ -168,7 +162,8 @@ def _fuse(view: View, mapper: Mapper, progress: Progression) -> None:
     with timed(progress, f"sweep {progress.sweep + 1}"):
         pose = mapper.pose(recorded)
         frame = mapper.bias.corrected(view.frame, view.features)
-        if mapper.config.tracking.enabled or frame is not view.frame:  # the camera or the readings moved since
+        moved = mapper.config.tracking.enabled or frame is not view.frame  # the camera or its readings, since exploring
+        if moved and progress.sweep == 1:  # later by less than the truncation band
             for depth in frame.depths.values():
                 mapper.volume.allocate(depth.to(mapper.device), pose)
         mapper.fuse(frame, view.features, pose)
@@ -206,11 +201,28 @@ def _sweep_views(
     on_event(Progress(stage, len(indices), len(indices)))
 
 
-def _end_sweep(mapper: Mapper, progress: Progression) -> None:
-    """Complete the map by what colour says, and learn from the whole of it; at last about the readings as they come."""
+def _end_sweep(
+    frames: RunFrames, mapper: Mapper, tracker: Tracker, progress: Progression, on_event: OnEvent
+) -> None:  # fmt: skip
+    """Complete the map by what colour says, and learn from the whole of it; ask colour while it finds something new."""
     if not mapper.volume.grid.rows:
         raise DataError("no frame could be mapped: no depth reading within range has a camera pose")
     mapper.add_colors()
+    if progress.sweep > 0 and mapper.witness.asked_again():
+        with timed(progress, "colours"):
+            _hear_colors(frames, mapper, progress, on_event)
+        return
+    with timed(progress, "learning"):
+        _learn(mapper, progress)
+    if progress.sweep == 0:
+        with timed(progress, "tracking"):
+            _settle(mapper, tracker, progress)
+        with timed(progress, "colours"):
+            _hear_colors(frames, mapper, progress, on_event)
+
+
+def _learn(mapper: Mapper, progress: Progression) -> None:
+    """What the whole map teaches the noise models; at last about the readings as they come."""
     if mapper.config.uncertainty.enabled:
         for sensor, loss in mapper.learn(as_read=progress.sweep == progress.last).items():
             if math.isfinite(loss):
@@ -235,9 +247,9 @@ def _hear_colors(frames: RunFrames, mapper: Mapper, progress: Progression, on_ev
     if mapper.witness.testimony:
         tried = mapper.witness.indices[:: 1 + len(mapper.witness.indices) // TRIAL_VIEWS]
         mapper.bias.hear(mapper.witness, ((view.frame, view.features) for view in _views(frames, tried, mapper)))
-        mapper.learn()
-    if mapper.witness.asked_again():
-        progress.last = max(progress.last, progress.sweep + 2)
+        if mapper.witness.asked_again():
+            progress.last = max(progress.last, progress.sweep + 2)
+        _learn(mapper, progress)
 
 
 def _refined_field(mapper: Mapper, config: MapConfig, on_event: OnEvent) -> tuple[NeuralField, list[float]]:
