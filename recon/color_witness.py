@@ -30,7 +30,7 @@ MIN_ONLOOKERS = 3
 CONFIRMED_SHARE = 3.0  # depth errs alike in neighbouring frames, colour that is known to be exact does not
 SURPRISE = math.log(2)  # betas of colour: half of its readings are this far from a surface that is right
 MAX_REGISTRATION_PX = 1.0  # colour that lies further beside its depth is not heard: twice the step of the search
-_STATE = ("looks", "off", "frames", "indices", "poses", "depths", "betas", "testimony", "share")
+_STATE = ("looks", "largest_surprise", "frames", "indices", "poses", "depths", "betas", "testimony", "share")
 TESTIMONY = 3000  # pixels of a view that the sensors' models learn from
 
 
@@ -45,7 +45,7 @@ class ColorWitness:
         large = camera.width * camera.height > FULL_SIZE_PIXELS
         self.camera = camera.resized(camera.width // 2, camera.height // 2) if large else camera
         self.looks = 0  # so far
-        self.off = 0.0  # where colour found the surface, from where it was looked for: median in betas, the worst look
+        self.largest_surprise = 0.0  # of a look: how far the surface is from where it was looked for, median in betas
         self.frames = 0  # that the views stand for
         self.poses: list[Tensor] = []
         self.depths: list[Tensor] = []
@@ -59,36 +59,43 @@ class ColorWitness:
     ) -> float | None:
         """Find the depth of views along the trajectory `poses` around `surface`, and learn how noisy it is.
 
-        Returns the mean negative log-likelihood in nats; None if nothing was found.
+        Returns the mean negative log-likelihood in nats. None if nothing was found: what it said before still holds,
+        and it is not asked again.
         """
         images = self._match(frames, poses, surface, on_event)
-        self.looks, self.frames = self.looks + 1, len(poses)
-        self.indices, self.poses, self.depths, self.betas, self.testimony = [], [], [], [], {}
         generator = torch.Generator().manual_seed(self.seed)
         noise = NoiseModel(self.uncertainty, generator, FEATURES)
         loss = self._learn(noise, images, generator)
+        self.looks = self.config.looks if loss is None else self.looks + 1
         if loss is None:
             return None
+        self.forget()
+        self.frames = len(poses)
         for image in images:
             depth = torch.from_numpy(image.depth)
             self.indices.append(image.index)
             self.poses.append(torch.from_numpy(image.T_world_camera).float())
             self.depths.append(depth)
             self.betas.append(noise.beta_image(depth, torch.from_numpy(image.features).float()).half())
-        self.off = max(self.off, self._typically_off([torch.from_numpy(image.moved) for image in images]))
+        moved = [torch.from_numpy(image.moved) for image in images]
+        self.largest_surprise = max(self.largest_surprise, self._surprise(moved))
         return loss
 
-    def asked_again(self) -> bool:
+    def wants_another_look(self) -> bool:
         """Whether colour is known to be exact, and once found the surface where it was not looked for: that moves the
         map and the biases of the sensors, and from there it finds more."""
-        return self.share > 1 and self.off > SURPRISE and self.looks < self.config.looks
+        return self.share > 1 and self.largest_surprise > SURPRISE and self.looks < self.config.looks
 
-    def judge(self, confirmed: float) -> None:
+    def judge(self, confirmed: float | None) -> None:
         """Count for more or not at all, given the share of the views of sensors that agree better with each other once
-        they are corrected by what colour says; in between nothing is known, and a reading counts as one."""
-        if confirmed <= REFUTED:
-            self.depths, self.betas, self.poses, self.indices, self.testimony = [], [], [], [], {}
-        self.share = CONFIRMED_SHARE if confirmed >= CONFIRMED else 1.0
+        they are corrected by what colour says; in between, or if None can tell, a reading counts as one."""
+        if confirmed is not None and confirmed <= REFUTED:
+            self.forget()
+        self.share = CONFIRMED_SHARE if confirmed is not None and confirmed >= CONFIRMED else 1.0
+
+    def forget(self) -> None:
+        """Say nothing."""
+        self.depths, self.betas, self.poses, self.indices, self.testimony = [], [], [], [], {}
 
     def confront(self, frame: Frame, features: dict[str, Tensor], view: int) -> None:
         """Keep what colour and the sensors say at some pixels of a frame that is a view."""
@@ -176,7 +183,7 @@ class ColorWitness:
         small = cv2.resize(grey, size, interpolation=cv2.INTER_AREA) if self.camera is not self.full else grey
         return small.astype(np.float32)
 
-    def _typically_off(self, moved: list[Tensor]) -> float:
+    def _surprise(self, moved: list[Tensor]) -> float:
         """Median in betas of how far the depth of each view `moved`, (h, w) metres, where it can tell samples apart."""
         sure = [(d > 0) & (b < self.voxel_size_m) for d, b in zip(self.depths, self.betas, strict=True)]
         betas = [m[s] / b[s].float() for m, b, s in zip(moved, self.betas, sure, strict=True)]

@@ -32,7 +32,9 @@ class FusionConfig(Strict):
     )
     min_readings: float = Field(3.0, ge=1.0, description="A sample seen less often is not part of the surface.")
     sweeps: int = Field(
-        1, ge=0, description="Fusions of all frames after the first one, each with what was learned before it."
+        1,
+        ge=0,
+        description="Fusions of all frames after the first one, each with what was learned before (see `color.looks`).",
     )
 
 
@@ -95,7 +97,7 @@ class ColorConfig(Strict):
     looks: int = Field(
         3,
         ge=1,
-        description="Times that colour is asked, at most: again around the surface it led to, if that is a new one.",
+        description="Times that colour is asked, each before a sweep; once if it finds the surface where it is.",
     )
     max_views: int = Field(150, ge=3, description="Views whose depth is looked for, at most.")
     shift: float = Field(

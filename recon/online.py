@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import time
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass, field
 from typing import Any, Protocol
 
@@ -17,6 +14,7 @@ from .events import Note, OnEvent, Progress, ignore
 from .field import NeuralField
 from .frame import Frame
 from .pipeline import OnBeta
+from .progression import Timed
 from .recording import RunFrames
 from .tracking import require_found
 from .tracking_record import Status, TrackedFrame, TrackingRecord
@@ -88,24 +86,14 @@ class OnlineResult:
     tracking: TrackingRecord | None
 
 
-@dataclass
-class OnlineProgress:
+@dataclass(kw_only=True)
+class OnlineProgress(Timed):
     """The next position in the list of frames, the next one to be mapped, and what was recorded on the way."""
 
     position: int = 0
     next_mapped: int = 0
     poses: dict[int, list[list[float]]] = field(default_factory=dict)
     frames: list[dict[str, Any]] = field(default_factory=list)  # `TrackedFrame`
-    seconds: dict[str, float] = field(default_factory=dict)
-
-    @contextmanager
-    def timed(self, name: str) -> Iterator[None]:
-        """Adds the seconds of a block to `seconds[name]`."""
-        began = time.perf_counter()
-        try:
-            yield
-        finally:
-            self.seconds[name] = self.seconds.get(name, 0.0) + time.perf_counter() - began
 
 
 def map_online(

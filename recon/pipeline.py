@@ -21,7 +21,7 @@ from .field import NeuralField
 from .frame import Frame
 from .mapper import Mapper
 from .noise_prior import NoisePrior
-from .progression import Progression, timed
+from .progression import Progression
 from .recording import RunFrames
 from .refine import refine
 from .sensor_biases import TRIAL_VIEWS
@@ -70,7 +70,7 @@ def reconstruct(
 
     The first sweep explores: track, map, record, frame by frame, learning the noise online. Then the trajectory is
     made consistent, and each later sweep fuses all frames again with poses and weights as known by then. Colour that
-    finds the surface elsewhere is asked again around the new one, which takes one more sweep. At last the field is
+    finds the surface elsewhere is asked again around the new one, with a sweep after each time. At last the field is
     refined by rendering, and beta maps are written.
     """
     mapper = Mapper(frames.camera, frames.sensors, config, choose_device(config.device))
@@ -98,9 +98,9 @@ def reconstruct(
         progress.sweep, progress.position = sweep + 1, 0
         if checkpoint.due():
             _save(checkpoint, mapper, tracker, progress)
-    with timed(progress, "refining"):
+    with progress.timed("refining"):
         result, losses = _refined_field(mapper, config, on_event)
-    with timed(progress, "beta maps"):
+    with progress.timed("beta maps"):
         _write_betas(frames, sorted(progress.poses), mapper, on_beta, on_event)
     poses = {index: np.array(matrix) for index, matrix in progress.poses.items()}
     return Reconstruction(
@@ -120,11 +120,11 @@ def choose_tracker(frames: RunFrames, config: MapConfig, mapper: Mapper | None) 
 def _explore(view: View, frames: RunFrames, mapper: Mapper, tracker: Tracker, progress: Progression) -> None:
     """Track, judge the sensors, map, record."""
     frame, tracking = mapper.health.look(view.frame), mapper.config.tracking
-    with timed(progress, "tracking"):
+    with progress.timed("tracking"):
         T_world_camera = tracker.track(mapper.health.without_suspects(frame), view.prepared, view.features)
     if T_world_camera is None:
         return
-    with timed(progress, "sweep 1"):
+    with progress.timed("sweep 1"):
         _follow(frames, mapper, tracker)
         frame = mapper.judge(frame, mapper.pose(T_world_camera))
         if not tracking.enabled or tracker.is_keyframe() or progress.position % tracking.explore_every == 0:
@@ -159,11 +159,11 @@ def _fuse(view: View, mapper: Mapper, progress: Progression) -> None:
     recorded = progress.poses.get(view.frame.index)
     if recorded is None:
         return
-    with timed(progress, f"sweep {progress.sweep + 1}"):
+    with progress.timed(f"sweep {progress.sweep + 1}"):
         pose = mapper.pose(recorded)
         frame = mapper.bias.corrected(view.frame, view.features)
         moved = mapper.config.tracking.enabled or frame is not view.frame  # the camera or its readings, since exploring
-        if moved and progress.sweep == 1:  # later by less than the truncation band
+        if moved and (progress.sweep == 1 or mapper.bias.newly_believed):  # else by less than the truncation band
             for depth in frame.depths.values():
                 mapper.volume.allocate(depth.to(mapper.device), pose)
         mapper.fuse(frame, view.features, pose)
@@ -207,49 +207,54 @@ def _end_sweep(
     """Complete the map by what colour says, and learn from the whole of it; ask colour while it finds something new."""
     if not mapper.volume.grid.rows:
         raise DataError("no frame could be mapped: no depth reading within range has a camera pose")
-    mapper.add_colors()
-    if progress.sweep > 0 and mapper.witness.asked_again():
-        with timed(progress, "colours"):
-            _hear_colors(frames, mapper, progress, on_event)
-        return
-    with timed(progress, "learning"):
-        _learn(mapper, progress)
+    with progress.timed("colours"):
+        mapper.add_colors()
     if progress.sweep == 0:
-        with timed(progress, "tracking"):
+        _learn(mapper, progress)
+        with progress.timed("tracking"):
             _settle(mapper, tracker, progress)
-        with timed(progress, "colours"):
-            _hear_colors(frames, mapper, progress, on_event)
+    with progress.timed("colours"):
+        heard = (progress.sweep == 0 or mapper.witness.wants_another_look()) and _hear_colors(
+            frames, mapper, progress, on_event
+        )
+    if heard or progress.sweep > 0:
+        _learn(mapper, progress)
 
 
 def _learn(mapper: Mapper, progress: Progression) -> None:
     """What the whole map teaches the noise models; at last about the readings as they come."""
     if mapper.config.uncertainty.enabled:
-        for sensor, loss in mapper.learn(as_read=progress.sweep == progress.last).items():
+        with progress.timed("learning"):
+            losses = mapper.learn(as_read=progress.sweep == progress.last)
+        for sensor, loss in losses.items():
             if math.isfinite(loss):
                 progress.losses.setdefault(f"noise {sensor}", []).append(loss)
 
 
-def _hear_colors(frames: RunFrames, mapper: Mapper, progress: Progression, on_event: OnEvent) -> None:
-    """Ask colour, around the surface that the map shows, where it is; heard in the sweeps that follow."""
+def _hear_colors(frames: RunFrames, mapper: Mapper, progress: Progression, on_event: OnEvent) -> bool:
+    """Ask colour, around the surface that the map shows, where it is; heard in the sweeps that follow.
+
+    Returns whether it said anything.
+    """
     config = mapper.config
     if not (config.color.enabled and config.uncertainty.enabled and config.fusion.sweeps):
-        return
+        return False
     if frames.registration_sigma_px > MAX_REGISTRATION_PX:
         off = f"{frames.registration_sigma_px:g} px"
         on_event(Note(f"colour may lie {off} beside its depth, so it does not say where the surface is"))
-        return
+        return False
     poses = {index: np.array(pose) for index, pose in progress.poses.items()}
     loss = mapper.witness.look(frames, poses, mapper.surface(), on_event)
-    if loss is not None:
-        progress.losses.setdefault("noise of colour", []).append(loss)
+    if loss is None:
+        return False
+    progress.losses.setdefault("noise of colour", []).append(loss)
     for number, view in enumerate(_views(frames, mapper.witness.indices, mapper)):
         mapper.witness.confront(view.frame, view.features, number)
-    if mapper.witness.testimony:
-        tried = mapper.witness.indices[:: 1 + len(mapper.witness.indices) // TRIAL_VIEWS]
-        mapper.bias.hear(mapper.witness, ((view.frame, view.features) for view in _views(frames, tried, mapper)))
-        if mapper.witness.asked_again():
-            progress.last = max(progress.last, progress.sweep + 2)
-        _learn(mapper, progress)
+    tried = mapper.witness.indices[:: 1 + len(mapper.witness.indices) // TRIAL_VIEWS]
+    mapper.bias.hear(mapper.witness, ((view.frame, view.features) for view in _views(frames, tried, mapper)))
+    if mapper.witness.wants_another_look():  # after the next sweep, and one more that hears what it then says
+        progress.last = max(progress.last, progress.sweep + 2)
+    return True
 
 
 def _refined_field(mapper: Mapper, config: MapConfig, on_event: OnEvent) -> tuple[NeuralField, list[float]]:

@@ -29,6 +29,7 @@ class SensorBiases:
         self.generator = torch.Generator().manual_seed(seed)
         self.models = {sensor: SensorBias(config, self.generator).to(device) for sensor in sensors}
         self.confirmed: dict[str, float] = {}
+        self.newly_believed = False  # whether some readings moved by a whole bias since the sweep before
 
     def hear(self, witness: ColorWitness, views: Iterable[tuple[Frame, dict[str, Tensor]]]) -> None:
         """Learn from colour where the sensors are biased, and believe it of those that some of its `views`, frame and
@@ -46,10 +47,11 @@ class SensorBiases:
                 trials[sensor].add(depth, corrected, poses[frame.index].numpy())
         tried = {sensor: trial.share_better(self.camera, self.seed) for sensor, trial in trials.items()}
         self.confirmed = {sensor: share for sensor, share in tried.items() if share is not None}
-        for sensor, share in self.confirmed.items():
-            self.models[sensor].believed.fill_(share >= CONFIRMED)
-        if self.confirmed:
-            witness.judge(max(self.confirmed.values()))
+        before = self._believed()
+        for sensor, model in self.models.items():
+            model.believed.fill_(self.confirmed.get(sensor, 0.0) >= CONFIRMED)
+        self.newly_believed = bool(self._believed() - before)
+        witness.judge(max(self.confirmed.values(), default=None))
 
     def corrected(self, frame: Frame, features: dict[str, Tensor]) -> Frame:
         """The frame without the biases that are believed."""
@@ -70,16 +72,20 @@ class SensorBiases:
             depths.clamp_(min=0)
         return corrected
 
+    def _believed(self) -> set[str]:
+        return {sensor for sensor, model in self.models.items() if model.believed}
+
     def _correct(self, sensor: str, depth: Tensor, features: dict[str, Tensor]) -> Tensor:
         return self.models[sensor].correct(depth.to(self.device), features[sensor].to(self.device))
 
     def state_dict(self) -> dict[str, Any]:
         """Plain tensors and containers."""
         models = {sensor: model.training_state() for sensor, model in self.models.items()}
-        return {"models": models, "confirmed": self.confirmed, "generator": self.generator.get_state()}
+        told = {"confirmed": self.confirmed, "newly_believed": self.newly_believed}
+        return {"models": models, **told, "generator": self.generator.get_state()}
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
         for sensor, trained in state["models"].items():
             self.models[sensor].load_training_state(trained)
-        self.confirmed = dict(state["confirmed"])
+        self.confirmed, self.newly_believed = dict(state["confirmed"]), state["newly_believed"]
         self.generator.set_state(state["generator"].cpu())

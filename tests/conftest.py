@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
 import pytest
+import torch
 from uncle.recon.camera import Camera
 from uncle.recon.mesh_io import Mesh
 from uncle.recon.recording import encode_normals
@@ -130,3 +131,12 @@ def _write_depths(run: RunDirectory, room: BoxRoom, sensors: tuple[str, ...], in
         write_image(run.depth_path(sensor, index), encode_metres(depth, DEPTH_UNITS_PER_M))
         if sensor != "gt":
             write_image(run.beta_path(sensor, index), encode_metres(beta, BETA_UNITS_PER_M))
+
+
+@pytest.fixture(params=[1, 2, 3])
+def threads(request) -> Iterator[int]:
+    """As many as PyTorch has during the test."""
+    before = torch.get_num_threads()
+    torch.set_num_threads(request.param)
+    yield request.param
+    torch.set_num_threads(before)

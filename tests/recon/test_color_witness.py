@@ -13,7 +13,7 @@ from uncle.recon.events import Progress
 from uncle.recon.frame import Frame
 from uncle.recon.mapper import Mapper
 from uncle.recon.recording import RunFrames
-from uncle.recon.sensor_bias import CONFIRMED, REFUTED
+from uncle.recon.sensor_bias import CONFIRMED, REFUTED, BiasTrial
 
 STEPS = UncertaintyConfig(steps_per_sweep=150, learning_rate=0.01)
 VOXEL_M = 0.05
@@ -160,11 +160,11 @@ def test_same_seed_same_readings_and_state_comes_back(box_room, walk):
 def test_colour_that_is_exact_is_asked_again_where_it_found_another_surface(box_room, walk, scale, share, again):
     witness, _ = witness_of(box_room, walk, scale=scale)
     witness.share = share
-    assert witness.asked_again() == again
+    assert witness.wants_another_look() == again
     for _ in range(ColorConfig().looks - 1):
-        assert witness.asked_again() == again
+        assert witness.wants_another_look() == again
         witness.look(RoomFrames(box_room, walk), dict(enumerate(walk)), OffSurface(box_room, 1.0))
-    assert not witness.asked_again()
+    assert not witness.wants_another_look()
 
 
 # --- when it says nothing ----------------------------------------------------------------------------------------
@@ -264,6 +264,45 @@ def test_colours_that_contradict_what_sensors_see_from_everywhere_are_not_heard(
     assert off_by(box_room, made.mapper, walk) < 0.004
 
 
+def test_a_later_look_that_finds_nothing_leaves_what_was_said(box_room, walk, tmp_path, monkeypatch):
+    learn, looks = ColorWitness._learn, []
+
+    def learn_once(witness, *given):
+        looks.append(1)
+        return learn(witness, *given) if len(looks) == 1 else None
+
+    monkeypatch.setattr(ColorWitness, "_learn", learn_once)
+    made = reconstructed(box_room, walk, tmp_path / "a")
+    assert len(looks) == 2  # and no third one
+    assert len(made.mapper.witness.depths) == len(walk)
+    assert made.mapper.bias.models["stereo"].believed
+    assert made.mapper.intervals["stereo"]  # learned from the last map
+    assert off_by(box_room, made.mapper, walk) < 0.008
+
+
+@pytest.mark.parametrize(("share", "heard"), [(None, True), (0.0, False)])
+def test_a_later_trial_that_confirms_nothing_takes_the_bias_back(
+    box_room, walk, tmp_path, monkeypatch, share, heard
+):  # fmt: skip
+    shares = iter([1.0, share])
+    monkeypatch.setattr(BiasTrial, "share_better", lambda *_: next(shares))
+    made = reconstructed(box_room, walk, tmp_path / "a")
+    assert next(shares, "asked twice") == "asked twice"
+    assert not made.mapper.bias.models["stereo"].believed
+    assert made.mapper.bias.confirmed == ({} if share is None else {"stereo": share})
+    assert made.mapper.witness.share == 1.0
+    assert bool(made.mapper.witness.depths) == heard
+
+
+def test_colour_is_asked_as_often_as_is_set(box_room, walk, tmp_path):
+    once = reconstructed(box_room, walk, tmp_path / "a", "color.looks=1")
+    assert len(once.curves["noise of colour"]) == 1
+    assert {"sweep 2"} == {part for part in once.seconds if part in ("sweep 2", "sweep 3", "sweep 4")}
+    more = reconstructed(box_room, walk, tmp_path / "b", "color.looks=2", "fusion.sweeps=3")
+    assert len(more.curves["noise of colour"]) == 2
+    assert "sweep 4" in more.seconds
+
+
 OFF = ["uncertainty.enabled=false", "color.enabled=false", "fusion.sweeps=0"]
 
 
@@ -286,7 +325,9 @@ def test_a_map_that_was_broken_off_is_the_same_with_colours(box_room, walk, tmp_
     unbroken = reconstructed(box_room, walk, tmp_path / "a")
     with pytest.raises(InterruptedError):
         reconstructed(box_room, walk, tmp_path / "b", on_event=break_off, interval_s=0)
-    resumed = reconstructed(box_room, walk, tmp_path / "b")
+    said: list[str] = []
+    resumed = reconstructed(box_room, walk, tmp_path / "b", on_event=lambda event: said.append(str(event)))
+    assert any(f"continuing at {stage.split(', ')[1]}" in text for text in said)
     assert len(resumed.mapper.witness.depths) == len(walk)
     for ours, theirs in zip(unbroken.mapper.witness.readings(), resumed.mapper.witness.readings(), strict=True):
         assert all(map(torch.equal, ours, theirs))
@@ -301,17 +342,9 @@ def test_a_view_weighs_as_much_as_the_frames_it_stands_for(box_room, walk):
     config = make_config("uncle", ["fusion.voxel_size_m=0.05", "fusion.blur_voxels=1"], device="cpu")
     mapper = Mapper(box_room.camera, ("stereo",), config, torch.device("cpu"))
     depth = torch.full((120, 160), 2.0)
-    state = {
-        "looks": 1,
-        "off": 0.0,
-        "frames": 7,
-        "indices": [0],
-        "poses": [torch.eye(4)],
-        "depths": [depth],
-        "testimony": {},
-        "share": 1.5,
-    }
-    mapper.witness.load_state_dict(state | {"betas": [torch.full_like(depth, 0.0625).half()]})
+    witness = mapper.witness
+    witness.frames, witness.indices, witness.poses, witness.share = 7, [0], [torch.eye(4)], 1.5
+    witness.depths, witness.betas = [depth], [torch.full_like(depth, 0.0625).half()]
     mapper.add_colors()
     mapper.add_colors()
     volume = mapper.volume

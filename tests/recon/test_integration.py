@@ -46,3 +46,16 @@ def test_compiled_equals_tensors(box_room, weighted, free, colored):
     integrate(*found, *rest, -1.0)
     for table, was in zip(found, before, strict=True):
         assert table.abs().max() <= 1e-6 * max(1.0, float(was.abs().max()))
+
+
+def test_threads_change_no_bit(box_room, threads):
+    seen, T_world_camera = observation(box_room, weighted=True, free=True, colored=True)
+    volume, alone = (FusionVolume(SparseGrid(0.05), box_room.camera, 0.2, 6.0) for _ in range(2))
+    space = FreeSpace(seen.free_weight, seen.doubt_m)
+    for target, count in ((volume, threads), (alone, 1)):
+        torch.set_num_threads(count)
+        target.allocate(seen.depth, T_world_camera)
+        target.integrate(seen.depth, seen.weight, seen.color, T_world_camera, space)
+    assert alone.sums.any()
+    assert torch.equal(volume.sums, alone.sums)
+    assert torch.equal(volume.color_sums, alone.color_sums)

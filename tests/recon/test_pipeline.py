@@ -32,9 +32,9 @@ def test_every_sweep_counts_every_reading_once(make_mappable_run, tmp_path):
 @pytest.mark.parametrize(("off_px", "asked"), [(0.0, True), (1.0, True), (3.0, False)])
 def test_colour_that_lies_beside_its_depth_is_no_witness(off_px, asked):
     looked, events = [], []
-    witness = SimpleNamespace(look=lambda *_: looked.append(1), indices=[], testimony={}, asked_again=lambda: False)
+    witness = SimpleNamespace(look=lambda *_: looked.append(1))
     mapper = SimpleNamespace(config=make_config("uncle", []), witness=witness, surface=lambda: None)
     frames = SimpleNamespace(registration_sigma_px=off_px, stream=lambda indices, prepare: iter(()))
-    pipeline._hear_colors(frames, mapper, Progression(), events.append)
+    pipeline._hear_colors(frames, mapper, Progression(last=1), events.append)
     assert bool(looked) == asked
     assert any("3 px beside its depth" in event.text for event in events) != asked

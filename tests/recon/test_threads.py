@@ -1,16 +1,7 @@
 """Rows shared out to threads."""
 
 import pytest
-import torch
 from uncle.recon.threads import share_out
-
-
-@pytest.fixture(params=[1, 2, 3])
-def threads(request):
-    before = torch.get_num_threads()
-    torch.set_num_threads(request.param)
-    yield request.param
-    torch.set_num_threads(before)
 
 
 @pytest.mark.parametrize("count", [0, 1, 2, 7, 100])
