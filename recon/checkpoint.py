@@ -48,8 +48,11 @@ def load_versioned(path: Path, called: str, what: str, format: str, version: int
     return state
 
 
+VERSION = 2  # of what states hold; to be counted up when a program can no longer continue those of the one before
+
+
 class Checkpoint:
-    """Saves a state at most every `interval_s` seconds; refuses to continue one of other settings."""
+    """Saves a state at most every `interval_s` seconds; refuses to continue one of other settings or versions."""
 
     def __init__(self, path: Path, config_hash: str, interval_s: float = 30.0) -> None:
         self.path, self.config_hash, self.interval_s = path, config_hash, interval_s
@@ -61,7 +64,7 @@ class Checkpoint:
 
     def save(self, state: dict[str, Any]) -> None:
         """Raises RunError."""
-        save_tensors(self.path, {"config_hash": self.config_hash, **state})
+        save_tensors(self.path, {"version": VERSION, "config_hash": self.config_hash, **state})
         self._last = time.monotonic()
 
     def load(self) -> dict[str, Any] | None:
@@ -69,7 +72,7 @@ class Checkpoint:
         if not self.path.exists():
             return None
         state = load_tensors(self.path)
-        return state if state["config_hash"] == self.config_hash else None
+        return state if (state.get("version"), state["config_hash"]) == (VERSION, self.config_hash) else None
 
     def remove(self) -> None:
         """Forget the state."""

@@ -55,9 +55,16 @@ class FusionLog:
         """Plain tensors and containers."""
         return {"entries": {i: tuple(vars(e).values()) for i, e in self.entries.items()}, "snapshots": self.snapshots}
 
-    def load_state_dict(self, state: dict[str, Any]) -> None:
-        self.entries = {i: Entry(*values) for i, values in state["entries"].items()}
-        self.snapshots = list(state["snapshots"])
+    def load_state_dict(self, state: dict[str, Any], device: torch.device | str = "cpu") -> None:
+        """`device`: that of the map, which poses and models are compared on."""
+        self.entries = {i: Entry(T.to(device), *others) for i, (T, *others) in state["entries"].items()}
+        self.snapshots = [
+            {
+                sensor: {name: values.to(device) for name, values in weights.items()}
+                for sensor, weights in models.items()
+            }
+            for models in state["snapshots"]
+        ]
 
 
 def _distance(entry: Entry, T_world_camera: Tensor) -> float:

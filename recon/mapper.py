@@ -272,7 +272,7 @@ class Mapper:
             self.noise[sensor].load_training_state(trained)
         self.selector.T_camera_world = list(state["keyframes"])
         self.rays.columns = {name: values.to(self.device) for name, values in state["rays"].items()}
-        self.log.load_state_dict(state["log"])
+        self.log.load_state_dict(state["log"], self.device)
         self.witness.load_state_dict(state["witness"])
         self.said = dict(state["said"])
         self.bias.load_state_dict(state["bias"])

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 import torch
-from uncle.recon.checkpoint import Checkpoint, load_tensors, save_tensors
+from uncle.recon.checkpoint import VERSION, Checkpoint, load_tensors, save_tensors
 from uncle.recon.errors import RunError
 
 
@@ -31,6 +31,15 @@ def test_only_the_same_settings_continue(tmp_path):
     Checkpoint(path, "one").remove()
     Checkpoint(path, "one").remove()
     assert not path.exists()
+
+
+def test_states_of_another_version_are_not_continued(tmp_path, monkeypatch):
+    kept = Checkpoint(tmp_path / "checkpoint.pt", "one")
+    kept.save({"x": 1})
+    monkeypatch.setattr("uncle.recon.checkpoint.VERSION", VERSION + 1)
+    assert kept.load() is None
+    save_tensors(kept.path, {"config_hash": "one", "x": 1})  # from before there were versions
+    assert kept.load() is None
 
 
 def test_saves_are_due_by_the_clock(tmp_path):

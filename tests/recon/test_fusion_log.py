@@ -75,3 +75,18 @@ def test_state_round_trip():
     assert not log.snapshots
     with pytest.raises(KeyError):
         log.entries[3]
+
+
+def test_a_state_comes_back_where_the_map_is():
+    """The meta device stands for an accelerator: it knows where tensors are, and no values."""
+    log, noise = FusionLog(), models()
+    log.note(4, pose(0, 0, 0, 0, 0, 0), noise, 7)
+    restored, elsewhere = FusionLog(), FusionLog()
+    restored.load_state_dict(log.state_dict())
+    assert torch.equal(restored.entries[4].T_world_camera, log.entries[4].T_world_camera)
+    assert (restored.entries[4].snapshot, restored.entries[4].blocks) == (0, 7)
+    features = torch.rand(5, len(FEATURES))
+    assert torch.equal(restored.models(restored.entries[4], models())["b"](features), noise["b"](features))
+    elsewhere.load_state_dict(log.state_dict(), "meta")
+    assert elsewhere.entries[4].T_world_camera.device.type == "meta"
+    assert all(v.device.type == "meta" for weights in elsewhere.snapshots[0].values() for v in weights.values())
