@@ -2,7 +2,8 @@
 
 Minimises, over poses T_world_camera and points X, the robust sum of
   |uv - projection(X)|^2 / sigma_px^2    and, for each sensor,    (1/z - 1/depth)^2 / sigma_inverse^2,
-with sigma_inverse from the learned uncertainty of the reading, and of motions measured between pairs of frames:
+with sigma_inverse from the learned uncertainty of the reading, and of motions measured between pairs of frames. What a
+sensor reads of a point in several frames counts as one reading: its errors there are much the same.
 Gauss-Newton with Levenberg-Marquardt damping, the points eliminated by the Schur complement (Triggs et al. 2000).
 """
 
@@ -159,21 +160,35 @@ def residuals(
     return r, d_motion, d_point
 
 
-def robust_weights(r: np.ndarray, share_px: np.ndarray) -> tuple[np.ndarray, float]:
+def share_of_readings(observations: Observations) -> np.ndarray:
+    """(M, S) share of its information that each depth reading counts: all that a sensor has of a point are one.
+
+    A stereo matcher smooths the same corner in every frame. Were its readings independent, they would outvote the
+    pixels, which know better, and bend the trajectory.
+    """
+    read = observations.depths > 0
+    counts = _sum_by(observations.point, read.astype(np.float64), int(observations.point.max(initial=-1)) + 1)
+    return 1 / np.maximum(counts[observations.point], 1.0)
+
+
+def robust_weights(
+    r: np.ndarray, share_px: np.ndarray, share_depth: np.ndarray | float = 1.0
+) -> tuple[np.ndarray, float]:
     """Weights (M, 2 + S) of whitened residuals and their robust cost (Cauchy); the two of a pixel are one residual, of
-    which a share (M,) counts."""
+    which a share (M,) counts, as of each depth reading (M, S)."""
     squared = np.concatenate([np.repeat((r[:, :2] ** 2).sum(1, keepdims=True), 2, 1), r[:, 2:] ** 2], 1)
     scale = np.full(r.shape[1], DEPTH_SCALE**2)
     scale[:2] = PIXEL_SCALE**2
     ratio = squared / scale
     cost, weights = scale * np.log1p(ratio), 1 / (1 + ratio)
     weights[:, :2] *= share_px[:, None]
-    return weights, float(cost[:, 0] @ share_px + cost[:, 2:].sum())
+    weights[:, 2:] *= share_depth
+    return weights, float(cost[:, 0] @ share_px + (cost[:, 2:] * share_depth).sum())
 
 
 def _linearise(camera, poses, points, observations, edges) -> _Linearised:
     r, d_motion, d_point = residuals(camera, poses[observations.camera], points[observations.point], observations)
-    weights, cost = robust_weights(r, observations.share_px)
+    weights, cost = robust_weights(r, observations.share_px, share_of_readings(observations))
     weighted_motion, weighted_point = d_motion * weights[..., None], d_point * weights[..., None]
     transposed = np.swapaxes(weighted_motion, 1, 2)
     U = _sum_by(observations.camera, transposed @ d_motion, len(poses))

@@ -8,10 +8,12 @@ from scipy.optimize import least_squares
 from uncle.recon.tracking.bundle_adjustment import (
     DEPTH_SCALE,
     PIXEL_SCALE,
+    Observations,
     adjust,
     covariances,
     residuals,
     robust_weights,
+    share_of_readings,
     without_outliers,
 )
 from uncle.recon.tracking.landmarks import share_of_pixels
@@ -97,6 +99,30 @@ def test_pixels_count_the_share_that_is_theirs():
     assert cost == pytest.approx((1.1 * PIXEL_SCALE**2 + DEPTH_SCALE**2) * np.log(2))
 
 
+def test_the_readings_of_a_sensor_of_one_point_share_its_information(make_scene):
+    scene = make_scene()
+    seen = scene.observations
+    share = share_of_readings(seen)
+    for sensor in range(seen.depths.shape[1]):
+        read = seen.depths[:, sensor] > 0
+        total = np.bincount(seen.point[read], share[read, sensor], minlength=len(scene.points))
+        np.testing.assert_allclose(total, np.bincount(seen.point[read], minlength=len(total)) > 0)
+
+
+def test_an_error_that_is_read_again_says_no_more(make_scene):
+    """All depth is 3 % too far. Frames that see nothing else, and repeat it, do not move points or cameras further."""
+    scene = make_scene()
+    seen = replace(scene.observations, depths=scene.observations.depths * 1.03)
+    again = replace(seen, share_px=np.zeros(len(seen)))
+    names = seen.__dataclass_fields__
+    thrice = Observations(*(np.concatenate([getattr(o, name) for o in (seen, again, again)]) for name in names))
+    once = adjust(scene.camera, scene.poses, scene.points, seen, scene.free, iterations=30)
+    more = adjust(scene.camera, scene.poses, scene.points, thrice, scene.free, iterations=30)
+    assert shifts_and_turns(once.poses, scene.poses)[0] > 0.001
+    np.testing.assert_allclose(more.points, once.points, atol=1e-9)
+    np.testing.assert_allclose(more.poses, once.poses, atol=1e-9)
+
+
 def test_poses_and_points_come_back(make_scene):
     scene = make_scene()
     poses, points = scene.perturbed(0.05, 0.03, 0.1)
@@ -141,7 +167,8 @@ def test_agrees_with_dense_least_squares(make_scene):
 
     def robust(x):  # their squares are the robust cost; signed, so that derivatives are smooth
         r, _, _ = all_residuals(scene, *at(x))
-        return np.concatenate([shrunk(r[:, :2], PIXEL_SCALE), shrunk(r[:, 2:].reshape(-1, 1), DEPTH_SCALE)])
+        share = np.sqrt(share_of_readings(scene.observations)).ravel()
+        return np.concatenate([shrunk(r[:, :2], PIXEL_SCALE), shrunk(r[:, 2:].reshape(-1, 1), DEPTH_SCALE) * share])
 
     oracle = least_squares(robust, np.zeros(12 + points.size))
     found = adjust(scene.camera, poses, points, scene.observations, scene.free, iterations=100)
@@ -156,7 +183,7 @@ def test_one_step_is_that_of_the_dense_normal_equations(make_scene):
     start = scene.perturbed(1e-4, 1e-4, 1e-4)
     found = adjust(scene.camera, *start, scene.observations, scene.free, iterations=1)
     r, _, _ = all_residuals(scene, *start)
-    weights, _ = robust_weights(r, np.ones(len(r)))
+    weights, _ = robust_weights(r, np.ones(len(r)), share_of_readings(scene.observations))
     J, root = dense_jacobian(scene, *start)[:, 6:], np.sqrt(weights).ravel()
     normal = J.T @ (J * root[:, None] ** 2)
     normal += np.diag(1e-4 * np.diag(normal) + 1e-9)  # the damping of a first step
@@ -173,7 +200,7 @@ def test_covariance_is_that_of_the_dense_inverse(make_scene):
     scene = replace(scene, observations=noisy)
     found = covariances(scene.camera, scene.poses, scene.points, scene.observations, scene.free)
     r, _, _ = all_residuals(scene, scene.poses, scene.points)
-    weights, _ = robust_weights(r, np.ones(len(r)))
+    weights, _ = robust_weights(r, np.ones(len(r)), share_of_readings(scene.observations))
     J = dense_jacobian(scene, scene.poses, scene.points)[:, 6:]
     dense = np.linalg.inv(J.T @ (J * weights.reshape(-1, 1))) * (1.48 * np.median(np.abs(r[:, :2]))) ** 2
     assert (found[0] == 0).all()
