@@ -81,13 +81,16 @@ def adjust(
     iterations: int = 10,
     edges: PoseEdges | None = None,
 ) -> Adjusted:
-    """Improve poses (C, 4, 4) where `free_poses` (C,) and, if `free_points`, points (P, 3). The cost never grows."""
-    damping = 1e-4
-    now = _linearise(camera, poses, points, observations, edges)
+    """Improve poses (C, 4, 4) where `free_poses` (C,) and, if `free_points`, points (P, 3). The cost never grows.
+
+    Where points are held, each camera is placed by itself, and what it reads is its own.
+    """
+    damping, share = 1e-4, share_of_readings(observations) if free_points else 1.0
+    now = _linearise(camera, poses, points, observations, share, edges)
     for _ in range(iterations):
         step_poses, step_points = _solve(now, observations, edges, free_poses, free_points, damping)
         new_poses, new_points = moved(poses, step_poses), points + step_points
-        then = _linearise(camera, new_poses, new_points, observations, edges)
+        then = _linearise(camera, new_poses, new_points, observations, share, edges)
         if not then.cost < now.cost:  # also where it is not a number
             damping *= 10
             if damping > 1e3:
@@ -113,7 +116,7 @@ def covariances(
 
     The whitened residuals are taken to be as large as they are: their robust spread scales the result.
     """
-    system = _linearise(camera, poses, points, observations, edges)
+    system = _linearise(camera, poses, points, observations, share_of_readings(observations), edges)
     free = np.flatnonzero(free_poses)
     damping = 1e-9
     S, _ = _reduced_system(
@@ -186,9 +189,9 @@ def robust_weights(
     return weights, float(cost[:, 0] @ share_px + (cost[:, 2:] * share_depth).sum())
 
 
-def _linearise(camera, poses, points, observations, edges) -> _Linearised:
+def _linearise(camera, poses, points, observations, share_depth, edges) -> _Linearised:
     r, d_motion, d_point = residuals(camera, poses[observations.camera], points[observations.point], observations)
-    weights, cost = robust_weights(r, observations.share_px, share_of_readings(observations))
+    weights, cost = robust_weights(r, observations.share_px, share_depth)
     weighted_motion, weighted_point = d_motion * weights[..., None], d_point * weights[..., None]
     transposed = np.swapaxes(weighted_motion, 1, 2)
     U = _sum_by(observations.camera, transposed @ d_motion, len(poses))

@@ -123,6 +123,21 @@ def test_an_error_that_is_read_again_says_no_more(make_scene):
     np.testing.assert_allclose(more.poses, once.poses, atol=1e-9)
 
 
+def test_cameras_that_are_placed_on_held_points_do_not_share_their_readings(make_scene):
+    """Each ends where it would without the others, also if all depth is too far and pixels count for little."""
+    scene = make_scene()
+    seen = replace(
+        scene.observations, depths=scene.observations.depths * 1.03, share_px=np.full(len(scene.observations), 0.01)
+    )
+    held = {"free_points": False, "iterations": 30}
+    together = adjust(scene.camera, scene.poses, scene.points, seen, scene.free, **held)
+    for camera in np.flatnonzero(scene.free):
+        own = seen[seen.camera == camera]
+        alone = adjust(scene.camera, scene.poses, scene.points, own, np.arange(len(scene.poses)) == camera, **held)
+        assert shifts_and_turns(alone.poses, scene.poses)[0] > 0.01
+        np.testing.assert_allclose(together.poses[camera], alone.poses[camera], atol=2e-4)
+
+
 def test_poses_and_points_come_back(make_scene):
     scene = make_scene()
     poses, points = scene.perturbed(0.05, 0.03, 0.1)
