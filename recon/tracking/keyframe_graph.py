@@ -94,9 +94,9 @@ class KeyframeGraph:
             return
         before = {k: self.sightings[k].pose for k in self.keyframes}
         self._adjust(cameras, self._all_but_first(cameras), iterations)
+        self._carry(before, set(cameras))  # else what others see of landmarks that moved is dropped as outliers
         if others := sorted(set(strong) - set(cameras)):
             self._adjust(others, np.ones(len(others), bool), 10, free_points=False)
-        self._carry(before, set(strong))
 
     def finish(self) -> None:
         """Adjust all; where pixels share an error, then place every frame on the landmarks, which hold still."""
