@@ -96,7 +96,7 @@ def reconstruct(
         if sweep < progress.last:
             mapper.forget_readings()
         progress.sweep, progress.position = sweep + 1, 0
-        if checkpoint.due():
+        if checkpoint.due() or sweep == progress.last:  # what follows writes much, and the disk may be full
             _save(checkpoint, mapper, tracker, progress)
     with progress.timed("refining"):
         result, losses = _refined_field(mapper, config, on_event)
