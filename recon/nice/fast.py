@@ -30,7 +30,7 @@ FLAT = 1e-9
 LOST_SHARE = 1e-3
 FAINT = 1e-4
 BEHIND_LOGIT = -100.0  # of samples that no light reaches: they take no part
-RAYS = 256  # at a time
+RAYS = 384  # at a time
 SAMPLES = 4096  # at a time, of colour
 SEGMENTS = 4  # of a ray; after each, rays that have ended are left
 NAMES = ("middle", "fine", "color")
@@ -67,8 +67,10 @@ class _Seen:
     opened: dict[str, Tensor]
 
     def only(self, chosen: Tensor) -> _Seen:
-        opened = {name: masks.view(torch.int64)[:, chosen].view(torch.uint8) for name, masks in self.opened.items()}
-        return _Seen(self.samples[chosen], self.points[chosen], opened)
+        """Those `chosen` (m,); `index_select` takes a third of the time of an index in brackets."""
+        words = {name: masks.view(torch.int64) for name, masks in self.opened.items()}
+        opened = {name: masks.index_select(1, chosen).view(torch.uint8) for name, masks in words.items()}
+        return _Seen(self.samples.index_select(0, chosen), self.points.index_select(0, chosen), opened)
 
 
 class FastEvaluate:
@@ -101,7 +103,7 @@ class FastEvaluate:
         for start in range(0, length, step):
             end = min(start + step, length)
             whole = len(alive) == len(points)
-            part = (points[:, start:end] if whole else points[alive, start:end]).reshape(-1, 3)
+            part = (points if whole else points.index_select(0, alive))[:, start:end].reshape(-1, 3)
             found, opened = self.logits(part, stage)
             found = found.view(len(alive), -1)
             logits[slice(None) if whole else alive, start:end] = found
@@ -191,7 +193,7 @@ class Gradients:
         decoders = {"middle": self.evaluate.middle, "fine": self.evaluate.fine}
 
         def back(worker: int, seen: _Seen) -> None:
-            given = of_logits[seen.samples]
+            given = of_logits.index_select(0, seen.samples)
             chosen = (given.abs() > flat).nonzero()[:, 0]
             if len(chosen) < len(given):
                 seen, given = seen.only(chosen), given[chosen]

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property
 
 import torch
 from torch import Tensor
@@ -28,14 +30,25 @@ class View:
 @dataclass(frozen=True)
 class Rays:
     """N rays of M views: the view of each (N,), directions (N, 3) in camera axes of unit z, depths (N, K) metres,
-    colors (N, 3) 0..1, clues (N, K, C), color_patches (N, 75) or None."""
+    colors (N, 3) 0..1. What the weighting sees around their pixels is gathered when it is asked for: the middle stage
+    asks for nothing."""
 
     views: Tensor
     directions: Tensor
     depths: Tensor
     colors: Tensor
-    clues: Tensor
-    color_patches: Tensor | None
+    gather_clues: Callable[[], Tensor]
+    gather_colors: Callable[[], Tensor]
+
+    @cached_property
+    def clues(self) -> Tensor:
+        """(N, K, C)."""
+        return self.gather_clues()
+
+    @cached_property
+    def color_patches(self) -> Tensor:
+        """(N, 75), 0..1."""
+        return self.gather_colors()
 
     def posed(self, T_world_camera: Tensor) -> tuple[Tensor, Tensor]:
         """Poses (M, 4, 4) -> origins and directions (N, 3) in the world."""
@@ -69,9 +82,10 @@ class Window:
         camera = self.camera
         x, y = (columns - camera.cx) / camera.fx, (rows - camera.cy) / camera.fy
         depths = self.depths[views, :, rows, columns]
-        clues = gather_patches(self.clues, views, rows, columns, self.clue_patch)
-        patches = None
-        if self.color_patch:
-            patches = gather_patches(self.planes, views, rows, columns, self.color_patch).float() / 255
         directions = torch.stack([x, y, torch.ones_like(x)], -1)
-        return Rays(views, directions, depths, self.colors[views, rows, columns].float() / 255, clues, patches)
+        pixels = (views, rows, columns)
+        return Rays(
+            views, directions, depths, self.colors[pixels].float() / 255,
+            lambda: gather_patches(self.clues, *pixels, self.clue_patch),
+            lambda: gather_patches(self.planes, *pixels, self.color_patch).float() / 255,
+        )  # fmt: skip

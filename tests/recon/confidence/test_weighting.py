@@ -36,7 +36,7 @@ def weighting(files) -> Confident:
 def rays_of(depths: torch.Tensor, confidence: torch.Tensor) -> Rays:
     count = len(depths)
     return Rays(torch.zeros(count, dtype=torch.int64), torch.zeros(count, 3), depths, torch.zeros(count, 3),
-                confidence[..., None], None)  # fmt: skip
+                lambda: confidence[..., None], lambda: None)  # fmt: skip
 
 
 def test_clues_are_the_confidences_of_each_sensor(weighting):

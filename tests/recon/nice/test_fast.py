@@ -61,7 +61,7 @@ def make_rays(count: int = 150) -> Rays:
     depths = 0.3 + 1.2 * torch.rand(count, 2, generator=generator)
     depths[::7, 0] = 0.0
     clues, patches = torch.rand(count, 2, 50, generator=generator), torch.rand(count, 75, generator=generator)
-    return Rays(torch.arange(count) % 2, directions, depths, colors, clues, patches)
+    return Rays(torch.arange(count) % 2, directions, depths, colors, lambda: clues, lambda: patches)
 
 
 SEVEN = torch.tensor([[1.0, 0.02, -0.01, 0.03, 0.1, 0.0, -0.5], [0.9, -0.1, 0.2, 0.0, 0.0, 0.2, -0.4]])

@@ -21,10 +21,10 @@ CPU = torch.device("cpu")
 def make_rays(depths: torch.Tensor) -> Rays:
     count, sensors = depths.shape
     generator = torch.Generator().manual_seed(1)
-    return Rays(
-        torch.zeros(count, dtype=torch.long), torch.zeros(count, 3), depths, torch.rand(count, 3, generator=generator),
-        torch.rand(count, sensors, 50, generator=generator), torch.rand(count, 75, generator=generator),
-    )  # fmt: skip
+    colors = torch.rand(count, 3, generator=generator)
+    clues, patches = torch.rand(count, sensors, 50, generator=generator), torch.rand(count, 75, generator=generator)
+    views = torch.zeros(count, dtype=torch.long)
+    return Rays(views, torch.zeros(count, 3), depths, colors, lambda: clues, lambda: patches)
 
 
 DEPTHS = torch.tensor([[2.0, 2.5], [1.0, 0.0], [3.0, 3.0], [0.0, 1.5]])
