@@ -10,6 +10,7 @@ import numpy as np
 from ..recon.camera import Camera
 from ..recon.errors import DataError
 from .calibration import CAMERA_FILE, Calibration, calibration_or
+from .clocks import Stream, depth_delay
 from .layout import first_file
 from .poses import no_overlap, poses_at
 from .recording import Entry, FileRecording
@@ -38,7 +39,11 @@ def read(path: Path) -> FileRecording:
     """Open a sequence. Raises DataError, also if the time stamps of its streams have nothing in common."""
     color_times, color_names = read_list(path / "rgb.txt")
     depth_times, depth_names = read_list(path / "depth.txt")
-    pairs = associate(color_times, depth_times, MAX_DEPTH_GAP_S)
+    delay = depth_delay(
+        Stream(color_times, [path / name for name in color_names]),
+        Stream(depth_times, [path / name for name in depth_names]),
+    )
+    pairs = associate(color_times, depth_times - delay, MAX_DEPTH_GAP_S)
     if not pairs:
         raise DataError(no_overlap(str(path / "rgb.txt"), color_times, "depth.txt", depth_times))
     stamps = color_times[[color for color, _ in pairs]]
@@ -50,6 +55,9 @@ def read(path: Path) -> FileRecording:
     calibration, camera_notes = calibration_or(path, guess)
     dropped = len(color_times) - len(pairs)
     notes = camera_notes or guess_notes
+    if delay:
+        late = f"{abs(delay) * 1e3:.0f} ms {'later' if delay > 0 else 'earlier'}"
+        notes += (f"depth is stamped {late} than the colour that shows the same motion: paired accordingly",)
     if dropped:
         notes += (f"{dropped} of {len(color_times)} colour images have no depth within {MAX_DEPTH_GAP_S} s: left out",)
     return FileRecording(path, "tum", entries, ("depth",), calibration, notes=notes)
