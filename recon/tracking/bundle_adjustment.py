@@ -114,7 +114,8 @@ def covariances(
 ) -> np.ndarray:
     """Covariance (C, 6, 6) of each pose with all points and the other poses unknown; 0 for poses that are not free.
 
-    The whitened residuals are taken to be as large as they are: their robust spread scales the result.
+    Where the pixels' whitened residuals spread by more than they should, the result grows as much. It does not shrink
+    where they spread by less: how well pixels agree says nothing of errors that the readings share.
     """
     system = _linearise(camera, poses, points, observations, share_of_readings(observations), edges)
     free = np.flatnonzero(free_poses)
@@ -123,10 +124,10 @@ def covariances(
         system, observations, edges, free, _damped(system.U[free], damping), np.linalg.inv(_damped(system.V, damping))
     )
     r, _, _ = residuals(camera, poses[observations.camera], points[observations.point], observations)
-    spread = 1.48 * np.median(np.abs(r[:, :2])) if len(r) else 1.0
+    spread = max(1.48 * np.median(np.abs(r[:, :2])), 1.0) if len(r) else 1.0
     blocks = np.linalg.pinv(S, hermitian=True).reshape(len(free), 6, len(free), 6)
     result = np.zeros((len(poses), 6, 6))
-    result[free] = blocks[np.arange(len(free)), :, np.arange(len(free))] * max(spread**2, 1e-2)
+    result[free] = blocks[np.arange(len(free)), :, np.arange(len(free))] * spread**2
     return result
 
 

@@ -208,16 +208,19 @@ def test_one_step_is_that_of_the_dense_normal_equations(make_scene):
     np.testing.assert_allclose(found.points, start[1] + step[12:].reshape(-1, 3), atol=1e-10)
 
 
-def test_covariance_is_that_of_the_dense_inverse(make_scene):
+@pytest.mark.parametrize("noise_px", [0.3, 0.7, 2.0])
+def test_covariance_is_that_of_the_dense_inverse(make_scene, noise_px):
     scene = make_scene(3, 15)
     rng = np.random.default_rng(6)
-    noisy = replace(scene.observations, uv=scene.observations.uv + rng.normal(0, 0.7, scene.observations.uv.shape))
+    noisy = replace(scene.observations, uv=scene.observations.uv + rng.normal(0, noise_px, scene.observations.uv.shape))
     scene = replace(scene, observations=noisy)
     found = covariances(scene.camera, scene.poses, scene.points, scene.observations, scene.free)
     r, _, _ = all_residuals(scene, scene.poses, scene.points)
     weights, _ = robust_weights(r, np.ones(len(r)), share_of_readings(scene.observations))
     J = dense_jacobian(scene, scene.poses, scene.points)[:, 6:]
-    dense = np.linalg.inv(J.T @ (J * weights.reshape(-1, 1))) * (1.48 * np.median(np.abs(r[:, :2]))) ** 2
+    spread = 1.48 * np.median(np.abs(r[:, :2]))
+    assert (spread > 1) == (noise_px > 1), "both sides of the sigma that pixels are said to have"
+    dense = np.linalg.inv(J.T @ (J * weights.reshape(-1, 1))) * max(spread, 1) ** 2
     assert (found[0] == 0).all()
     for camera in (1, 2):
         block = slice(6 * camera - 6, 6 * camera)
