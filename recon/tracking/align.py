@@ -17,6 +17,7 @@ from ..frame import Frame
 from ..fusion import FusionVolume
 from ..tracking_record import Status, TrackedFrame, TrackingRecord
 from ..uncertainty import NoiseModel
+from . import graph_state
 from .keyframe_graph import KeyframeGraph
 from .landmarks import Sighting
 from .local_features import match, match_near, near_projections, project
@@ -136,15 +137,13 @@ class AlignTracker:
     def state_dict(self) -> dict[str, Any]:
         """Plain tensors and containers that `load_state_dict` continues from."""
         return {
-            "graph": self.graph.state_dict(),
+            "graph": graph_state.to_state(self.graph),
             "frames": [f.model_dump() for f in self.frames],
-            "velocity": torch.from_numpy(self._velocity),
-            "lost": self._lost,
-            "fit": self._fit,
-        }
+            "velocity": torch.from_numpy(self._velocity), "lost": self._lost, "fit": self._fit,
+        }  # fmt: skip
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
-        self.graph.load_state_dict(state["graph"])
+        graph_state.load_state(self.graph, state["graph"])
         self.frames = [TrackedFrame.model_validate(row) for row in state["frames"]]
         self._velocity, self._lost, self._fit = state["velocity"].numpy(), state["lost"], state["fit"]
 

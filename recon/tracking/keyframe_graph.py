@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
-import torch
 
 from ..camera import Camera
 from .bundle_adjustment import Observations, adjust, covariances, without_outliers
@@ -14,6 +12,7 @@ from .landmarks import NONE, Landmarks, Sighting, observations_of, seen_at_least
 from .local_features import back_projected
 from .loops import Place, corrected_poses, recognise
 from .motion import angle, exceeds, inverse, transform
+from .placement import placed_again
 from .pose_edges import Measured, edges_among
 from .view_alignment import SurfaceView, align_views
 
@@ -28,6 +27,7 @@ _NEW_DEPTH_SIGMA = 0.15  # of the depth: a reading less certain makes no landmar
 _KNOWN_SHARE = 20  # landmarks in common that make two keyframes neighbours: nothing to recognise
 _LEFT_M, _LEFT_RAD = 0.1, 0.1  # what may be left of a loop's error when all keyframes shared it
 _TRACKED_M, _TRACKED_RAD = 0.02, 0.02  # of a motion between keyframes whose surfaces do not say it
+_LEAST_FRAMES = 10  # that tell how a camera usually moves
 _JUMP_M, _JUMP_RAD = 0.02, 0.02  # a loop that is off by more bends the graph before bundle adjustment
 
 
@@ -99,12 +99,14 @@ class KeyframeGraph:
             self._adjust(others, np.ones(len(others), bool), 10, free_points=False)
 
     def finish(self) -> None:
-        """Adjust all; where pixels share an error, then place every frame on the landmarks, which hold still."""
+        """Adjust all; where pixels share an error, then place every frame on the landmarks, which hold still. Frames
+        that lie where nobody expects them are placed again."""
         self.adjust_globally()
         if any(s.common_px > 0 for s in self.sightings):
             frames, before = self._strong(), {k: self.sightings[k].pose for k in self.keyframes}
             self._adjust(frames, self._all_but_first(frames), 10, free_points=False)
             self._carry(before, {*frames})
+        self._place_surprising()
 
     def covariances(self) -> dict[int, np.ndarray]:
         """Covariance (6, 6) of each frame's pose, metres and radians, against the first keyframe (zero for that one),
@@ -119,26 +121,6 @@ class KeyframeGraph:
         found = covariances(self.camera, poses, points, observations, free, edges)
         nearest = np.searchsorted(cameras, strong).clip(max=len(cameras) - 1)
         return {p: found[i] for p, i in zip(strong, nearest, strict=True)}
-
-    def state_dict(self) -> dict[str, Any]:
-        """Plain tensors and containers that `load_state_dict` continues from."""
-        return {
-            "sightings": [s.to_state() for s in self.sightings],
-            "keyframes": list(self.keyframes),
-            "views": {k: v.to_state() for k, v in self.views.items()},
-            "edges": [(a, b, torch.from_numpy(m), torch.from_numpy(i)) for a, b, m, i in self.edges],
-            "loops": list(self.loops),
-            "landmarks": {n: torch.from_numpy(v) for n, v in vars(self.landmarks).items()},
-        }
-
-    def load_state_dict(self, state: dict[str, Any]) -> None:
-        self.sightings = [Sighting.from_state(s) for s in state["sightings"]]
-        self.keyframes = list(state["keyframes"])
-        self.views = {k: SurfaceView.from_state(v) for k, v in state["views"].items()}
-        self.edges = [(a, b, m.numpy(), i.numpy()) for a, b, m, i in state["edges"]]
-        self.loops = [tuple(loop) for loop in state["loops"]]
-        for name, values in state["landmarks"].items():
-            setattr(self.landmarks, name, values.numpy())
 
     # --- consistency -------------------------------------------------------------------------------------------
     def _lend(self, sighting: Sighting, descriptors: np.ndarray) -> None:
@@ -227,6 +209,16 @@ class KeyframeGraph:
             self.landmarks.points[mine] = transform((pose @ inverse(before[k]))[None], self.landmarks.points[mine])
         self._carry(before, set(self.keyframes))
         return True
+
+    def _place_surprising(self) -> None:
+        frames = self._strong()
+        if len(frames) < _LEAST_FRAMES:
+            return
+        poses, points, observations, _ = self._seen_by(frames, np.inf)
+        times = np.array([float(self.sightings[p].index) for p in frames])
+        for position, pose in zip(frames, placed_again(self.camera, poses, times, points, observations), strict=True):
+            if position != self.keyframes[0]:
+                self.sightings[position].pose = pose
 
     def _carry(self, before: dict[int, np.ndarray], placed: set[int]) -> None:
         """Frames not in `placed` follow the last keyframe before them from where it was `before`."""
