@@ -18,11 +18,20 @@ import cv2
 import numpy as np
 from scipy.stats import rankdata
 
-STRETCHES, STRETCH = 4, 45  # parts of the recording that are looked at, and images in each
+from ..recon.errors import DataError
+from ..recon.storage import read_image
+from .images import SATURATED
+
+STRETCHES, STRETCH = 6, 45  # parts of the recording that are looked at, and images in each
 LARGEST_S, STEP_S = 0.06, 0.001  # delays that are tried: two images of a Kinect
+LONGEST_S = (
+    0.07  # between two images: a picture that moved for longer tells little, and pairs are too few to choose from
+)
 _WIDTH_PX = 160  # of the pictures that are compared
-_LEAST = 40  # motions that say something
-_LEAST_GAIN = 5.0  # sigmas by which signals must fit better than without a delay
+_BLOCK = 10  # successive motions that count as one: a hand keeps its speed for a third of a second
+_LEAST_BLOCKS = 4
+_LEAST_GAIN = 4.0  # sigmas by which signals must fit better than without a delay,
+_LEAST_SHARE = 0.15  # and by which share of the error
 _LARGEST_ERROR = 0.15  # of ranks; those of unrelated signals differ by a third
 
 Read = Callable[[Path], np.ndarray | None]  # a picture (h, w) float32 of about _WIDTH_PX; None: unreadable
@@ -47,9 +56,10 @@ def depth_delay(color: Stream, depth: Stream) -> float:
 
     Only delays of whole milliseconds up to `LARGEST_S` are found, and only where the streams then agree much better.
     """
-    begin, end = max(color.times[0], depth.times[0]), min(color.times[-1], depth.times[-1])
-    parts = min(STRETCHES, -(-len(depth.times) // STRETCH))
-    starts = np.linspace(begin, max(begin, end), parts + 1)[:-1]
+    if min(len(stream.times) for stream in (color, depth)) < STRETCH:
+        return 0.0
+    firsts = np.linspace(0, len(depth.times) - STRETCH, min(STRETCHES, len(depth.times) // STRETCH)).astype(int)
+    starts = depth.times[firsts]
     pairs = [(motion(color, start, color_picture), motion(depth, start, depth_picture)) for start in starts]
     return best_delay([pair for pair in pairs if min(len(stream.times) for stream in pair) > 1])
 
@@ -60,15 +70,17 @@ def best_delay(pairs: Sequence[tuple[Motion, Motion]]) -> float:
     Ranks are compared, over all pairs: a few wrong motions, or a picture that moves half as much, change little.
     """
     delays = np.arange(-LARGEST_S, LARGEST_S + STEP_S / 2, STEP_S)
-    inside = [_inside(first, second) for first, second in pairs]
-    if sum(len(second.times) for second in inside) < _LEAST:
+    times = [_inside(first, second) for first, second in pairs]
+    blocks = sum(len(inside) // _BLOCK for inside in times)
+    if blocks < _LEAST_BLOCKS:
         return 0.0
-    wanted = _ranks([second.velocities for second in inside])
-    errors = [np.abs(_ranks(_delayed(pairs, inside, delay)) - wanted) for delay in delays]
+    wanted = _ranks([_smooth(second, inside) for (_, second), inside in zip(pairs, times, strict=True)])
+    errors = [np.abs(_ranks(_delayed(pairs, times, delay)) - wanted).mean(axis=1) for delay in delays]
     best, none = int(np.argmin([error.mean() for error in errors])), len(delays) // 2
-    gain = errors[none] - errors[best]
-    clear = gain.mean() > _LEAST_GAIN * gain.std() / np.sqrt(len(gain)) and errors[best].mean() < _LARGEST_ERROR
-    return round(float(delays[best]), 3) if clear and 0 < best < len(delays) - 1 else 0.0
+    gain = np.array([part.mean() for part in np.array_split(errors[none] - errors[best], blocks)])
+    clear = gain.mean() > max(_LEAST_GAIN * gain.std() / np.sqrt(blocks), _LEAST_SHARE * errors[none].mean())
+    fits = errors[best].mean() < _LARGEST_ERROR and 0 < best < len(delays) - 1
+    return round(float(delays[best]), 3) if clear and fits else 0.0
 
 
 def motion(stream: Stream, start: float, read: Read) -> Motion:
@@ -80,7 +92,7 @@ def motion(stream: Stream, start: float, read: Read) -> Motion:
     seen = [(stream.times[n], picture) for n, picture in zip(chosen, pictures, strict=True) if picture is not None]
     times, velocities = [], []
     for (before, earlier), (now, later) in pairwise(seen):
-        if earlier.shape != later.shape:
+        if earlier.shape != later.shape or now - before > LONGEST_S:
             continue
         window = cv2.createHanningWindow(later.shape[::-1], cv2.CV_32F)
         shift, _ = cv2.phaseCorrelate(earlier, later, window)
@@ -91,20 +103,31 @@ def motion(stream: Stream, start: float, read: Read) -> Motion:
 
 def color_picture(file: Path) -> np.ndarray | None:
     """Grey values."""
-    image = cv2.imread(str(file), cv2.IMREAD_GRAYSCALE)
+    image = _read(file, cv2.IMREAD_GRAYSCALE | cv2.IMREAD_IGNORE_ORIENTATION)
     return None if image is None else _small(image.astype(np.float32))
 
 
 def depth_picture(file: Path) -> np.ndarray | None:
     """Nearness, which shows edges as colour does; holes are as near as the median."""
-    image = cv2.imread(str(file), cv2.IMREAD_UNCHANGED)
-    if image is None or image.ndim != 2 or not image.any():
+    image = _read(file, cv2.IMREAD_UNCHANGED)
+    if image is None:
         return None
-    read = image > 0
+    read = (image > 0) & (image != SATURATED)
+    if not read.any():
+        return None
     known = _small(read.astype(np.float32))
     near = _small(np.where(read, 1 / np.maximum(image, 1).astype(np.float32), 0)) / np.maximum(known, 1e-6)
     near = np.where(known > 0, near, np.median(near[known > 0]))
     return (near / near.max()).astype(np.float32)
+
+
+def _read(file: Path, flags: int) -> np.ndarray | None:
+    """An image of one channel and of some size, or None; that it is broken is reported when the frame is read."""
+    try:
+        image = read_image(file, flags)
+    except (DataError, cv2.error):
+        return None
+    return image if image.ndim == 2 and min(image.shape) > 16 else None
 
 
 def _small(image: np.ndarray) -> np.ndarray:
@@ -113,21 +136,28 @@ def _small(image: np.ndarray) -> np.ndarray:
     return cv2.resize(image, size, interpolation=cv2.INTER_AREA)
 
 
-def _inside(first: Motion, second: Motion) -> Motion:
-    """The part of `second` that `first` covers at every delay."""
-    kept = (second.times > first.times[0] + LARGEST_S) & (second.times < first.times[-1] - LARGEST_S)
-    return Motion(second.times[kept], second.velocities[kept])
+def _inside(first: Motion, second: Motion) -> np.ndarray:
+    """The times of `second` that `first` covers at every delay."""
+    margin = LARGEST_S + LONGEST_S / 2
+    return second.times[(second.times > first.times[0] + margin) & (second.times < first.times[-1] - margin)]
 
 
-def _delayed(pairs: Sequence[tuple[Motion, Motion]], inside: Sequence[Motion], delay: float) -> list[np.ndarray]:
-    """(M, 2) of each pair: velocities of the first `delay` before the times of the second."""
-    return [
-        np.stack([np.interp(second.times - delay, first.times, along) for along in first.velocities.T], 1)
-        for (first, _), second in zip(pairs, inside, strict=True)
-    ]
+def _smooth(motion: Motion, times: np.ndarray) -> np.ndarray:
+    """(M, 2) velocities at `times` (M,), means over one period.
+
+    Interpolated alone they would be smoother between two measurements than at one, and fit better for that.
+    """
+    half = np.median(np.diff(motion.times)) / 2
+    around = [times + shift for shift in (-half, 0.0, half)]
+    return np.stack([np.mean([np.interp(t, motion.times, v) for t in around], axis=0) for v in motion.velocities.T], 1)
+
+
+def _delayed(pairs: Sequence[tuple[Motion, Motion]], times: Sequence[np.ndarray], delay: float) -> list[np.ndarray]:
+    """(M, 2) of each pair: velocities of the first `delay` before `times` (M,)."""
+    return [_smooth(first, inside - delay) for (first, _), inside in zip(pairs, times, strict=True)]
 
 
 def _ranks(velocities: Sequence[np.ndarray]) -> np.ndarray:
-    """(2 M,) ranks, 0 to 1, of each axis by itself."""
+    """(M, 2) ranks, 0 to 1, of each axis by itself."""
     together = np.concatenate(velocities)
-    return (rankdata(together, axis=0) / len(together)).ravel()
+    return rankdata(together, axis=0) / len(together)

@@ -30,8 +30,8 @@ class View:
 @dataclass(frozen=True)
 class Rays:
     """N rays of M views: the view of each (N,), directions (N, 3) in camera axes of unit z, depths (N, K) metres,
-    colors (N, 3) 0..1. What the weighting sees around their pixels is gathered when it is asked for: the middle stage
-    asks for nothing."""
+    colors (N, 3) 0..1. What the weighting sees around their pixels is gathered when it is asked for: in the
+    middle stage a learned beta asks for nothing."""
 
     views: Tensor
     directions: Tensor
@@ -47,7 +47,7 @@ class Rays:
 
     @cached_property
     def color_patches(self) -> Tensor:
-        """(N, 75), 0..1."""
+        """(N, 75), 0..1, of a weighting that has a colour patch."""
         return self.gather_colors()
 
     def posed(self, T_world_camera: Tensor) -> tuple[Tensor, Tensor]:

@@ -27,7 +27,6 @@ _NEW_DEPTH_SIGMA = 0.15  # of the depth: a reading less certain makes no landmar
 _KNOWN_SHARE = 20  # landmarks in common that make two keyframes neighbours: nothing to recognise
 _LEFT_M, _LEFT_RAD = 0.1, 0.1  # what may be left of a loop's error when all keyframes shared it
 _TRACKED_M, _TRACKED_RAD = 0.02, 0.02  # of a motion between keyframes whose surfaces do not say it
-_LEAST_FRAMES = 10  # that tell how a camera usually moves
 _JUMP_M, _JUMP_RAD = 0.02, 0.02  # a loop that is off by more bends the graph before bundle adjustment
 
 
@@ -119,8 +118,10 @@ class KeyframeGraph:
         observations = observations[seen_at_least(observations, 2)]
         free, edges = self._all_but_first(cameras), edges_among(self.edges, cameras)
         found = covariances(self.camera, poses, points, observations, free, edges)
+        held = np.bincount(observations.camera, minlength=len(cameras)) >= _MIN_FEATURES
+        held |= ~free  # the first keyframe is where it is
         nearest = np.searchsorted(cameras, strong).clip(max=len(cameras) - 1)
-        return {p: found[i] for p, i in zip(strong, nearest, strict=True)}
+        return {p: found[i] for p, i in zip(strong, nearest, strict=True) if held[i]}
 
     # --- consistency -------------------------------------------------------------------------------------------
     def _lend(self, sighting: Sighting, descriptors: np.ndarray) -> None:
@@ -211,14 +212,18 @@ class KeyframeGraph:
         return True
 
     def _place_surprising(self) -> None:
+        """Of frames between keyframes, which hold each other. Every reading of every pixel counts whole, as above."""
         frames = self._strong()
-        if len(frames) < _LEAST_FRAMES:
+        if not frames:
             return
-        poses, points, observations, _ = self._seen_by(frames, np.inf)
-        times = np.array([float(self.sightings[p].index) for p in frames])
-        for position, pose in zip(frames, placed_again(self.camera, poses, times, points, observations), strict=True):
-            if position != self.keyframes[0]:
-                self.sightings[position].pose = pose
+        observations, numbers = observations_of([self.sightings[p] for p in frames], self.landmarks)
+        observations = replace(observations, share_px=np.ones(len(observations)))
+        poses = np.stack([self.sightings[p].pose for p in frames])
+        times = np.array([self.sightings[p].index for p in frames], np.float64)
+        free = ~np.isin(frames, self.keyframes)
+        found = placed_again(self.camera, poses, times, self.landmarks.points[numbers], observations, free)
+        for position, pose in zip(frames, found, strict=True):
+            self.sightings[position].pose = pose
 
     def _carry(self, before: dict[int, np.ndarray], placed: set[int]) -> None:
         """Frames not in `placed` follow the last keyframe before them from where it was `before`."""

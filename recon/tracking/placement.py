@@ -15,73 +15,94 @@ from .bundle_adjustment import Observations, adjust, costs_by_camera, without_ou
 from .motion import motion_between, moved
 
 AROUND = ((-1, 1), (-2, 2), (-2, -1), (1, 2))  # pairs of neighbours that tell where a frame between or beside them is
+NEAR = 3  # frames: neighbours that are further away tell nothing
 SURPRISE = 10.0  # usual distances from what is expected
+OUTVOTES = 4.0  # cost of a reading that half fits: what is expected counts no more than that for each
 _SMALLEST = (5e-4, 5e-4)  # metres and radians: usual distances are taken to be no less
+_LEAST_FRAMES = 10  # that tell how a camera usually moves
+_LEAST_READINGS = 12  # that place a frame
 _LIMITS = (15.0, 5.0)  # sigmas: observations beyond are left out, first and then
 _ITERATIONS = 10
 
 
 def placed_again(
-    camera: Camera, poses: np.ndarray, times: np.ndarray, points: np.ndarray, observations: Observations
+    camera: Camera,
+    poses: np.ndarray,
+    times: np.ndarray,
+    points: np.ndarray,
+    observations: Observations,
+    free: np.ndarray,
 ) -> np.ndarray:
-    """Poses (C, 4, 4) at increasing `times` (C,), of which surprising ones may have gone to where they fit better.
+    """Poses (C, 4, 4) of frames with increasing numbers `times` (C,), of which surprising ones that are `free` (C,) may
+    have gone to where they fit better.
 
-    points (P, 3) hold still. A pose costs its residuals and the square of its distance from what is expected, in units
-    of the usual one.
+    points (P, 3) hold still. A pose costs its residuals, and the square of its distance from what is expected in units
+    of the usual one, as far as that may outvote readings: a jerk that they confirm stays.
     """
-    expected = expectations(poses, times)
-    off = distances(poses, expected)
-    usual = np.maximum(np.nanmedian(np.nanmin(off, axis=0), axis=0), _SMALLEST)
-    frames = np.flatnonzero(surprise(off, usual) > SURPRISE)
-    if len(frames) == 0:
+    if len(poses) < _LEAST_FRAMES:
         return poses
-    position = np.full(len(poses), -1)
-    position[frames] = np.arange(len(frames))
-    seen = observations[position[observations.camera] >= 0]
-    seen = replace(seen, camera=position[seen.camera])
-    best = poses[frames]
-    least = _cost(camera, best, points, seen, expected[:, frames], usual)
-    for start in expected[:, frames]:
-        found = np.where(np.isfinite(start), start, best)
-        for limit in _LIMITS:
-            kept = without_outliers(camera, found, points, seen, limit)
-            free = np.isin(np.arange(len(frames)), kept.camera)
-            found = adjust(camera, found, points, kept, free, free_points=False, iterations=_ITERATIONS).poses
-        cost = _cost(camera, found, points, seen, expected[:, frames], usual)
-        better = cost < least
-        best, least = np.where(better[:, None, None], found, best), np.where(better, cost, least)
+    expected = expectations(poses, times)
+    off = nearest(poses, expected)
+    known = np.isfinite(off[:, 0])
+    if not known.any():
+        return poses
+    usual = np.maximum(np.median(off[known], axis=0), _SMALLEST)
+    surprising = free & known & (np.linalg.norm(off / usual, axis=-1) > SURPRISE)
     result = poses.copy()
-    result[frames] = best
+    for frame in np.flatnonzero(surprising):
+        seen = observations[observations.camera == frame]
+        seen = replace(seen, camera=np.zeros(len(seen), np.int64))
+        here = expected[:, frame][np.isfinite(expected[:, frame, 0, 0])]
+        result[frame] = _best(camera, poses[frame], here, points, seen, usual)
     return result
 
 
 def expectations(poses: np.ndarray, times: np.ndarray) -> np.ndarray:
-    """Where each pair of neighbours has each frame, at constant speed: (4, C, 4, 4), NaN where one is missing."""
+    """Where each pair of neighbours has each frame, at constant speed: (4, C, 4, 4), NaN where there is none."""
     count = len(poses)
     expected = np.full((len(AROUND), count, 4, 4), np.nan)
     for n, (first, second) in enumerate(AROUND):
         here = np.arange(max(0, -first), count - max(0, second))
         a, b = here + first, here + second
+        near = (np.abs(times[a] - times[here]) <= NEAR) & (np.abs(times[b] - times[here]) <= NEAR)
+        here, a, b = here[near], a[near], b[near]
         share = (times[here] - times[a]) / (times[b] - times[a])
         expected[n, here] = moved(poses[a], share[:, None] * motion_between(poses[a], poses[b]))
     return expected
 
 
-def distances(poses: np.ndarray, expected: np.ndarray) -> np.ndarray:
-    """(4, C, 2) metres and radians between poses (C, 4, 4) and where they are expected; NaN where nothing is."""
+def nearest(poses: np.ndarray, expected: np.ndarray) -> np.ndarray:
+    """(C, 2) metres and radians between poses (C, 4, 4) and the nearest of where they are expected, each for itself;
+    infinite where nothing is."""
     known = np.isfinite(expected[..., 0, 0])
-    off = np.full((*known.shape, 2), np.nan)
+    off = np.full((*known.shape, 2), np.inf)
     motions = motion_between(np.broadcast_to(poses, expected.shape)[known], expected[known]).reshape(-1, 2, 3)
     off[known] = np.linalg.norm(motions, axis=-1)
-    return off
+    return off.min(axis=0)
 
 
-def surprise(off: np.ndarray, usual: np.ndarray) -> np.ndarray:
-    """(C,) distance from the nearest of what is expected, in units of `usual` (2,); 0 where nothing is."""
-    scaled = np.linalg.norm(off / usual, axis=-1)
-    return np.where(np.isfinite(scaled).any(axis=0), np.nan_to_num(scaled, nan=np.inf).min(axis=0), 0.0)
+def _best(camera, pose, expected, points, seen, usual) -> np.ndarray:
+    """The pose (4, 4) of least cost: `pose`, or what readings make of those `expected` (K, 4, 4)."""
+    best, least, most = pose, _cost(camera, pose, expected, points, seen, usual), _agreeing(camera, pose, points, seen)
+    for start in expected:
+        found = start
+        for limit in _LIMITS:
+            kept = without_outliers(camera, found[None], points, seen, limit)
+            if len(kept) < _LEAST_READINGS:
+                break
+            found = adjust(camera, found[None], points, kept, np.ones(1, bool), free_points=False,
+                           iterations=_ITERATIONS).poses[0]  # fmt: skip
+        agreeing = _agreeing(camera, found, points, seen)
+        cost = _cost(camera, found, expected, points, seen, usual)
+        if agreeing >= max(_LEAST_READINGS, most / 2) and cost < least:
+            best, least = found, cost
+    return best
 
 
-def _cost(camera, poses, points, observations, expected, usual) -> np.ndarray:
-    """(C,)."""
-    return costs_by_camera(camera, poses, points, observations) + surprise(distances(poses, expected), usual) ** 2
+def _agreeing(camera, pose, points, seen) -> int:
+    return len(without_outliers(camera, pose[None], points, seen, _LIMITS[-1]))
+
+
+def _cost(camera, pose, expected, points, seen, usual) -> float:
+    off = np.linalg.norm(nearest(pose[None], expected[:, None])[0] / usual)
+    return float(costs_by_camera(camera, pose[None], points, seen)[0] + min(off**2, OUTVOTES * len(seen)))
