@@ -24,9 +24,7 @@ from .images import SATURATED
 
 STRETCHES, STRETCH = 6, 45  # parts of the recording that are looked at, and images in each
 LARGEST_S, STEP_S = 0.06, 0.001  # delays that are tried: two images of a Kinect
-LONGEST_S = (
-    0.07  # between two images: a picture that moved for longer tells little, and pairs are too few to choose from
-)
+LONGEST_S = 0.07  # between two images: in more time a picture moves far, and depth images are too few to choose from
 _WIDTH_PX = 160  # of the pictures that are compared
 _BLOCK = 10  # successive motions that count as one: a hand keeps its speed for a third of a second
 _LEAST_BLOCKS = 4

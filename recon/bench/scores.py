@@ -5,10 +5,6 @@ from __future__ import annotations
 from .process import Record
 from .statistics import Metric
 
-UNCERTAINTY = (
-    "rank_correlation", "nll_nats", "nll_constant_nats", "coverage_50", "coverage_90",
-    "stated_coverage_50", "stated_coverage_90", "ause", "ause_gain",
-)  # fmt: skip
 SURFACE = (
     Metric("F 5 cm %", "f_score_5cm", 100, 2, 1), Metric("F 2 cm %", "f_score_2cm", 100, 2, 1),
     Metric("P 5 cm %", "precision_5cm", 100, 2, 1), Metric("R 5 cm %", "recall_5cm", 100, 2, 1),
@@ -31,6 +27,7 @@ TRUST = (
     Metric("AUSE", "ause", 1, 3, -1), Metric("rank corr.", "rank_correlation", 1, 3, 1),
     Metric("closer than depth alone %", "ause_gain", 100, 1, 1),
 )  # fmt: skip
+UNCERTAINTY = tuple(metric.key for metric in TRUST)
 
 
 def surface_scores(surface: Record) -> Record:

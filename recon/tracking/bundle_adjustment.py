@@ -49,6 +49,11 @@ class Observations:
         """The same, of other point numbers (M,)."""
         return replace(self, point=point)
 
+    def with_whole_pixels(self) -> Observations:
+        """The same, every pixel counted whole: what pixels share cancels between a frame and those around it, which
+        placed the points that it is held against."""
+        return replace(self, share_px=np.ones(len(self)))
+
 
 @dataclass(frozen=True)
 class Adjusted:
@@ -180,27 +185,14 @@ def robust_weights(
 ) -> tuple[np.ndarray, float]:
     """Weights (M, 2 + S) of whitened residuals and their robust cost (Cauchy); the two of a pixel are one residual, of
     which a share (M,) counts, as of each depth reading (M, S)."""
-    ratio, scale = _in_scales(r)
+    squared = np.concatenate([np.repeat((r[:, :2] ** 2).sum(1, keepdims=True), 2, 1), r[:, 2:] ** 2], 1)
+    scale = np.full(r.shape[1], DEPTH_SCALE**2)
+    scale[:2] = PIXEL_SCALE**2
+    ratio = squared / scale
     cost, weights = scale * np.log1p(ratio), 1 / (1 + ratio)
     weights[:, :2] *= share_px[:, None]
     weights[:, 2:] *= share_depth
     return weights, float(cost[:, 0] @ share_px + (cost[:, 2:] * share_depth).sum())
-
-
-def costs_by_camera(camera: Camera, poses: np.ndarray, points: np.ndarray, observations: Observations) -> np.ndarray:
-    """Robust cost (C,) of what each camera sees, each reading counted by itself."""
-    r, _, _ = residuals(camera, poses[observations.camera], points[observations.point], observations)
-    ratio, scale = _in_scales(r)
-    cost = (scale * np.log1p(ratio))[:, 1:].sum(1)  # the two of a pixel are one
-    return np.bincount(observations.camera, cost, len(poses))
-
-
-def _in_scales(r: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Squares of whitened residuals (M, 2 + S) over those of the scale (2 + S,) beyond which they lose influence."""
-    squared = np.concatenate([np.repeat((r[:, :2] ** 2).sum(1, keepdims=True), 2, 1), r[:, 2:] ** 2], 1)
-    scale = np.full(r.shape[1], DEPTH_SCALE**2)
-    scale[:2] = PIXEL_SCALE**2
-    return squared / scale, scale
 
 
 def _linearise(camera, poses, points, observations, share_depth, edges) -> _Linearised:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 
 from ..camera import Camera
@@ -217,7 +215,7 @@ class KeyframeGraph:
         if not frames:
             return
         observations, numbers = observations_of([self.sightings[p] for p in frames], self.landmarks)
-        observations = replace(observations, share_px=np.ones(len(observations)))
+        observations = observations.with_whole_pixels()
         poses = np.stack([self.sightings[p].pose for p in frames])
         times = np.array([self.sightings[p].index for p in frames], np.float64)
         free = ~np.isin(frames, self.keyframes)
@@ -235,10 +233,7 @@ class KeyframeGraph:
 
     def _adjust(self, positions: list[int], free: np.ndarray, iterations: int, free_points: bool = True) -> None:
         poses, points, observations, numbers = self._seen_by(positions, 3 * _OUTLIER)
-        if free_points:
-            observations = observations[seen_at_least(observations, 2)]
-        else:  # what pixels share cancels between a frame and those around, which place the points
-            observations = replace(observations, share_px=np.ones(len(observations)))
+        observations = observations[seen_at_least(observations, 2)] if free_points else observations.with_whole_pixels()
         edges = edges_among(self.edges, positions)
         if len(observations) == 0 and (len(self.landmarks) or edges is None):
             return

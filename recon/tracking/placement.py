@@ -11,7 +11,7 @@ from dataclasses import replace
 import numpy as np
 
 from ..camera import Camera
-from .bundle_adjustment import Observations, adjust, costs_by_camera, without_outliers
+from .bundle_adjustment import Observations, adjust, residuals, robust_weights, without_outliers
 from .motion import motion_between, moved
 
 AROUND = ((-1, 1), (-2, 2), (-2, -1), (1, 2))  # pairs of neighbours that tell where a frame between or beside them is
@@ -105,4 +105,5 @@ def _agreeing(camera, pose, points, seen) -> int:
 
 def _cost(camera, pose, expected, points, seen, usual) -> float:
     off = np.linalg.norm(nearest(pose[None], expected[:, None])[0] / usual)
-    return float(costs_by_camera(camera, pose[None], points, seen)[0] + min(off**2, OUTVOTES * len(seen)))
+    r, _, _ = residuals(camera, pose[None][seen.camera], points[seen.point], seen)
+    return robust_weights(r, seen.share_px)[1] + min(off**2, OUTVOTES * len(seen))

@@ -8,6 +8,8 @@ import numpy as np
 import pytest
 from uncle.recon.camera import Camera
 from uncle.recon.tracking.bundle_adjustment import Observations
+from uncle.recon.tracking.keyframe_graph import KeyframeGraph
+from uncle.recon.tracking.landmarks import Sighting
 from uncle.recon.tracking.motion import inverse, moved, transform
 
 CAMERA = Camera(320, 240, 200.0, 210.0, 160.0, 118.0)
@@ -52,5 +54,23 @@ def make_scene():
         sigmas = 0.01 * np.maximum(depths, 1) ** 2
         ones = np.ones(len(uv))
         return Scene(CAMERA, poses, world, Observations(camera, point, uv, 0.7 * ones, depths, sigmas, ones))
+
+    return make
+
+
+@pytest.fixture
+def make_graph():
+    """Makes a graph of frames at `poses` with what they see; the landmarks are where the points are."""
+
+    def make(camera, poses, points, observations: Observations, keyframes, common_px: float = 0.0) -> KeyframeGraph:
+        graph = KeyframeGraph(camera, 0)
+        graph.landmarks.add(points, np.zeros((len(points), 128), np.float32))
+        for index, pose in enumerate(poses):
+            own = observations[observations.camera == index]
+            noise = np.zeros((*own.depths.shape, 0), np.float32)
+            read = own.uv, own.sigma_px, own.depths, own.sigmas_m, np.zeros_like(own.depths), noise
+            graph.sightings.append(Sighting(index, pose, *read, own.point.copy(), common_px))
+        graph.keyframes = list(keyframes)
+        return graph
 
     return make

@@ -5,35 +5,17 @@ from __future__ import annotations
 import numpy as np
 from uncle.recon.tracking import keyframe_graph
 from uncle.recon.tracking.keyframe_graph import KeyframeGraph
-from uncle.recon.tracking.landmarks import Sighting
 from uncle.recon.tracking.motion import moved
 
 KEYFRAMES = (0, 4, 8)
 
 
-def graph_of(scene, poses: np.ndarray) -> KeyframeGraph:
-    """All frames see all points; some are keyframes; the landmarks are where the points are."""
-    graph = KeyframeGraph(scene.camera, 0)
-    graph.landmarks.add(scene.points, np.zeros((len(scene.points), 128), np.float32))
-    for index, pose in enumerate(poses):
-        seen = scene.observations[scene.observations.camera == index]
-        nothing = np.zeros((len(seen), 2))
-        graph.sightings.append(
-            Sighting(
-                index, pose, seen.uv, seen.sigma_px, seen.depths, seen.sigmas_m, nothing,
-                np.zeros((len(seen), 2, 0), np.float32), seen.point.copy(),
-            )
-        )  # fmt: skip
-    graph.keyframes = list(KEYFRAMES)
-    return graph
-
-
-def test_frames_between_keyframes_that_move_far_move_along_and_are_placed(make_scene, monkeypatch):
+def test_frames_between_keyframes_that_move_far_move_along_and_are_placed(make_scene, make_graph, monkeypatch):
     """30 and 60 cm of drift that a loop takes out of the keyframes: more than 20 pixels, which pass for outliers."""
     scene = make_scene(12)
     shift = np.repeat([0.0, 0.3, 0.6], 4) + np.where(np.isin(np.arange(12), KEYFRAMES), 0, 0.005)
     drift = shift[:, None] * np.array([1.0, 0, 0, 0, 0, 0])
-    graph = graph_of(scene, moved(scene.poses, drift))
+    graph = make_graph(scene.camera, moved(scene.poses, drift), scene.points, scene.observations, KEYFRAMES)
     adjust = KeyframeGraph._adjust
 
     def close(self, positions, free, iterations, free_points=True):

@@ -5,14 +5,11 @@ import pytest
 from uncle.recon.tracking.bundle_adjustment import (
     Observations,
     adjust,
-    costs_by_camera,
     residuals,
     robust_weights,
 )
-from uncle.recon.tracking.keyframe_graph import KeyframeGraph
-from uncle.recon.tracking.landmarks import Sighting
 from uncle.recon.tracking.motion import inverse, moved, transform
-from uncle.recon.tracking.placement import expectations, nearest, placed_again
+from uncle.recon.tracking.placement import _cost, expectations, nearest, placed_again
 
 SPEED = np.array([0.02, -0.01, 0.005, 0.01, 0.02, -0.005])  # of a hand, a frame
 TIMES = np.array([0.0, 1, 2, 3, 5, 6, 7, 8, 9, 10, 11, 12])
@@ -63,13 +60,16 @@ def test_a_wrong_neighbour_does_not_make_others_surprising():
     assert np.delete(found, 6).max() < 2e-3
 
 
-def test_costs_of_all_cameras_are_the_whole(seen):
+def test_costs_of_all_frames_are_the_whole_where_they_are_expected(seen):
     camera, poses, points, observations = seen
     off = moved(poses, np.tile([0.01, 0, 0, 0, 0, 0], (len(poses), 1)))
     r, _, _ = residuals(camera, off[observations.camera], points[observations.point], observations)
-    costs = costs_by_camera(camera, off, points, observations)
-    assert costs.shape == (len(poses),)
-    assert costs.sum() == pytest.approx(robust_weights(r, observations.share_px)[1])
+    costs = []
+    for frame, pose in enumerate(off):
+        own = observations[observations.camera == frame]
+        own = replace(own, camera=np.zeros(len(own), np.int64))
+        costs.append(_cost(camera, pose, pose[None], points, own, np.array([1e-3, 1e-3])))
+    assert sum(costs) == pytest.approx(robust_weights(r, observations.share_px)[1])
 
 
 @pytest.fixture
@@ -102,18 +102,10 @@ def test_a_frame_in_a_wrong_minimum_goes_back(confused):
 
 
 @pytest.mark.parametrize("common_px", [0.0, 3.0])
-def test_the_graph_puts_back_frames_between_keyframes(confused, common_px):
+def test_the_graph_puts_back_frames_between_keyframes(confused, make_graph, common_px):
     camera, truth, poses, points, mixed = confused
     poses[4] = moved(poses[4], np.array([0.0, 0.1, 0, 0, 0, 0]))
-    graph = KeyframeGraph(camera, 0)
-    graph.landmarks.add(points, np.zeros((len(points), 128), np.float32))
-    for index, pose in enumerate(poses):
-        own = mixed[mixed.camera == index]
-        features = np.zeros((len(own), 1)), np.zeros((len(own), 1, 0), np.float32), own.point.copy()
-        graph.sightings.append(
-            Sighting(index, pose, own.uv, own.sigma_px, own.depths, own.sigmas_m, *features, common_px)
-        )
-    graph.keyframes = [0, 4, 8]
+    graph = make_graph(camera, poses, points, mixed, (0, 4, 8), common_px)
     graph._place_surprising()
     assert np.linalg.norm((inverse(truth[6]) @ graph.sightings[6].pose)[:3, 3]) < 0.005
     assert all((graph.sightings[n].pose == poses[n]).all() for n in range(12) if n != 6), "keyframes hold each other"
