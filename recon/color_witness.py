@@ -27,10 +27,11 @@ from .uncertainty import NoiseModel, Residuals
 FULL_SIZE_PIXELS = 200_000  # larger images are halved: finer pixels than the map's samples cost time only
 SAMPLES = 4000  # pixels of a view that teach
 MIN_ONLOOKERS = 3
-CONFIRMED_SHARE = 3.0  # depth errs alike in neighbouring frames, colour that is known to be exact does not
 SURPRISE = math.log(2)  # betas of colour: half of its readings are this far from a surface that is right
 MAX_REGISTRATION_PX = 1.0  # colour that lies further beside its depth is not heard: twice the step of the search
-_STATE = ("looks", "largest_surprise", "frames", "indices", "poses", "depths", "betas", "testimony", "share")
+_STATE = (
+    "looks", "largest_surprise", "frames", "indices", "sources", "poses", "depths", "betas", "testimony", "confirmed",
+)  # fmt: skip
 TESTIMONY = 3000  # pixels of a view that the sensors' models learn from
 
 
@@ -51,8 +52,9 @@ class ColorWitness:
         self.depths: list[Tensor] = []
         self.betas: list[Tensor] = []
         self.indices: list[int] = []
+        self.sources: list[list[int]] = []  # of each view: the frames that it was compared with
         self.testimony: dict[str, Tensor] = {}
-        self.share = 1.0  # what a reading counts beside that of a depth sensor
+        self.confirmed = False  # poses and calibration are known to be as exact as it needs
 
     def look(
         self, frames: RunFrames, poses: dict[int, np.ndarray], surface: MapSurface, on_event: OnEvent = ignore
@@ -74,6 +76,7 @@ class ColorWitness:
         for image in images:
             depth = torch.from_numpy(image.depth)
             self.indices.append(image.index)
+            self.sources.append(list(image.sources))
             self.poses.append(torch.from_numpy(image.T_world_camera).float())
             self.depths.append(depth)
             self.betas.append(noise.beta_image(depth, torch.from_numpy(image.features).float()).half())
@@ -84,29 +87,30 @@ class ColorWitness:
     def wants_another_look(self) -> bool:
         """Whether colour is known to be exact, and once found the surface where it was not looked for: that moves the
         map and the biases of the sensors, and from there it finds more."""
-        return self.share > 1 and self.largest_surprise > SURPRISE and self.looks < self.config.looks
+        return self.confirmed and self.largest_surprise > SURPRISE and self.looks < self.config.looks
 
     def judge(self, confirmed: float | None) -> None:
-        """Count for more or not at all, given the share of the views of sensors that agree better with each other once
-        they are corrected by what colour says; in between, or if None can tell, a reading counts as one."""
+        """Be known to be exact, or say nothing, given the share of the views of sensors that agree better with each
+        other once they are corrected by what colour says; neither in between, or if None can tell."""
         if confirmed is not None and confirmed <= REFUTED:
             self.forget()
-        self.share = CONFIRMED_SHARE if confirmed is not None and confirmed >= CONFIRMED else 1.0
+        self.confirmed = confirmed is not None and confirmed >= CONFIRMED
 
     def forget(self) -> None:
         """Say nothing."""
-        self.depths, self.betas, self.poses, self.indices, self.testimony = [], [], [], [], {}
+        self.depths, self.betas, self.poses, self.indices, self.sources, self.testimony = [], [], [], [], [], {}
 
-    def confront(self, frame: Frame, features: dict[str, Tensor], view: int) -> None:
-        """Keep what colour and the sensors say at some pixels of a frame that is a view."""
-        depth, beta, _ = self._at_full_size(view)
+    def confront(self, frame: Frame, features: dict[str, Tensor], view: int, surface: MapSurface) -> None:
+        """Keep what colour, the sensors and the map say at some pixels of a frame that is a view."""
+        depth, beta, T_world_camera = self._at_full_size(view)
         pixels = depth.view(-1).nonzero()[:, 0]
         rng = np.random.default_rng((self.seed, view))
         pixels = pixels[torch.from_numpy(rng.integers(len(pixels), size=TESTIMONY))] if len(pixels) else pixels
         sensors = torch.stack([image.view(-1)[pixels] for image in frame.depths.values()], 1)
         inputs = torch.stack([image.view(-1, image.shape[-1])[pixels] for image in features.values()], 1)
         told = {"color": depth.view(-1)[pixels], "beta": beta.view(-1)[pixels]}
-        told |= {"sensors": sensors, "inputs": inputs.half()}
+        told |= {"sensors": sensors, "inputs": inputs.half(), "views": torch.full((len(pixels),), view)}
+        told |= dict(zip(("expected", "places"), self._met(surface, T_world_camera, pixels), strict=True))
         self.testimony = {n: torch.cat([self.testimony[n], v]) if self.testimony else v for n, v in told.items()}
 
     def against(self, column: int, bias: SensorBias | None = None) -> Residuals:
@@ -126,6 +130,18 @@ class ColorWitness:
         size, images = (self.full.width, self.full.height), (self.depths[view], self.betas[view])
         depth, beta = (cv2.resize(i.float().numpy(), size, interpolation=cv2.INTER_NEAREST) for i in images)
         return torch.from_numpy(depth), torch.from_numpy(beta), self.poses[view]
+
+    def _met(self, surface: MapSurface, T_world_camera: Tensor, pixels: Tensor) -> tuple[Tensor, Tensor]:
+        """Depth (N,) metres at which rays through `pixels` (N,) meet the surface, 0 = not, and where (N, 3)."""
+        centre, ways = T_world_camera[:3, 3], self.full.rays().view(-1, 3)[pixels] @ T_world_camera[:3, :3].T
+        origins, directions = (t.to(surface.sdf.device) for t in (centre.expand(len(ways), 3), ways))
+        depth = surface.cast(origins, directions).cpu()
+        return depth, centre + depth[:, None] * ways
+
+    def related(self) -> np.ndarray:
+        """(V, V) bool: views that were compared with each other, or with the same frame; each with itself."""
+        used = [{index, *others} for index, others in zip(self.indices, self.sources, strict=True)]
+        return np.array([[not one.isdisjoint(other) for other in used] for one in used])
 
     @property
     def frames_per_view(self) -> float:

@@ -12,21 +12,19 @@ from .camera import Camera
 from .color_witness import ColorWitness
 from .config import MapConfig
 from .frame import Frame
-from .fusion import FreeSpace, FusionVolume
+from .fusion import FusionVolume
 from .fusion_log import FusionLog
 from .grid import SparseGrid
 from .keyframes import KeyframeSelector, RayStore
 from .map_surface import MapSurface
 from .noise_features import noise_features
+from .reading_weights import ReadingWeights
+from .reading_worth import statements, worth_of_readings
 from .sensor_biases import SensorBiases
 from .sensor_health import SensorHealth
 from .stated_intervals import state_intervals
 from .uncertainty import NoiseModel, Residuals
 
-WEIGHT_SCALE_M = 0.01  # a reading with this beta weighs 1
-WEIGHT_FLOOR = 0.5  # of the median weight of the image
-DOUBT_BETAS = 2.0  # a reading vouches for free space on the scale of this many betas before it
-_ENOUGH_READINGS = 20_000  # for a median
 _MAX_SELF_SHARE = 0.9  # readings that make up more of the map than this say nothing about themselves
 
 
@@ -40,6 +38,7 @@ class Mapper:
         grid = SparseGrid(fusion.voxel_size_m, device)
         truncation = fusion.truncation_voxels * fusion.voxel_size_m
         self.volume = FusionVolume(grid, camera, truncation, fusion.max_depth_m)
+        self.weights = ReadingWeights(fusion, sensors)
         self.noise = {s: NoiseModel(config.uncertainty, self.generator).to(device) for s in sensors}
         self.bias = SensorBiases(camera, sensors, config.uncertainty, config.seed, device)
         self.intervals: dict[str, dict[str, float]] = {}  # in betas, by sensor and per cent; of the finished map
@@ -98,7 +97,7 @@ class Mapper:
             depth, weight, free_space = depth.to(self.device), None, None
             if self.config.uncertainty.enabled:
                 betas[sensor] = noise[sensor].beta_image(depth, features[sensor].to(self.device))
-                weight, free_space = self._weights(betas[sensor], depth > 0)
+                weight, free_space = self.weights.of_image(betas[sensor], depth > 0, sensor)
             self.volume.integrate(depth, weight, color, T_world_camera, free_space, take_out_of)
             said = self._weight_near_surface(depth, weight)
             self.said[sensor] += said if take_out_of is None else -said
@@ -123,28 +122,9 @@ class Mapper:
         self._surface = None
         self.said = dict.fromkeys(self.sensors, 0.0)
 
-    def _weights(self, beta: Tensor, valid: Tensor) -> tuple[Tensor, FreeSpace]:
-        """beta (H, W) metres -> what its readings weigh, none below `WEIGHT_FLOOR` of their median.
-
-        A silhouette is noisy in every view; without a floor the steadier background behind it would outvote it away.
-        """
-        weight = self.weight(beta)
-        typical = _typical(weight, valid)
-        weight = weight.clamp(min=WEIGHT_FLOOR * typical)
-        return weight, FreeSpace.of(weight, typical, DOUBT_BETAS * beta)
-
     def pose(self, T_world_camera: Any) -> Tensor:
         """A (4, 4) matrix as the map takes it."""
         return torch.as_tensor(np.asarray(T_world_camera), dtype=torch.float32, device=self.device)
-
-    def weight(self, beta: Tensor) -> Tensor:
-        """beta (...) metres -> (...) fusion weight: inverse variance of the reading on this map.
-
-        A voxel cannot show more than its size, so its own blur adds to the noise of the sensor; without it the few
-        sharpest readings would outvote all others.
-        """
-        blur = self.config.fusion.blur_voxels * self.config.fusion.voxel_size_m
-        return WEIGHT_SCALE_M**2 / (beta.square() + blur**2).clamp(min=1e-8)
 
     def features(self, frame: Frame, normals: dict[str, Tensor]) -> dict[str, Tensor]:
         """(H, W, F) input of h_w for each sensor; nothing if the uncertainty is off."""
@@ -180,10 +160,19 @@ class Mapper:
         """Fuse what colour says about the surface; each view stands for the frames between it and the next."""
         for depth, beta, T_world_camera in self.witness.readings():
             depth, beta, T_world_camera = (t.to(self.device) for t in (depth, beta, T_world_camera))
-            weight = self.witness.share * self.witness.frames_per_view * self.weight(beta)
-            free_space = FreeSpace.of(weight, _typical(weight, depth > 0), DOUBT_BETAS * beta)
+            weight, free_space = self.weights.of_color(beta, depth > 0, self.witness.frames_per_view)
             self.volume.allocate(depth, T_world_camera)
             self.volume.integrate(depth, weight, None, T_world_camera, free_space)
+
+    def weigh_sensors(self) -> None:
+        """Find what readings of each sensor are worth, if colour is known to be exact; they are all worth 1 if not."""
+        self.weights.worth = dict.fromkeys(self.sensors, 1.0)
+        if not self.witness.confirmed:
+            return
+        said = statements(self.witness, self.noise, self.bias, self.weights, self.volume.truncation_m)
+        self.weights.worth = worth_of_readings(
+            said, self.witness.related(), self.config.fusion.voxel_size_m, self.sensors
+        )
 
     def known(self) -> Tensor:
         """(R,) samples that enough readings saw."""
@@ -201,7 +190,9 @@ class Mapper:
             residual = depth[used] - offset - hit[used]
             if fused:
                 points = rays["origins"][used] + rays["directions"][used] * hit[used, None]
-                residual, trusted = self._without_itself(residual, self.weight(model(inputs.float())), points)
+                residual, trusted = self._without_itself(
+                    residual, self.weights.of(model(inputs.float()), sensor), points
+                )
                 residual, inputs, offset = residual[trusted], inputs[trusted], offset[trusted]
             own = Residuals.against_truth(residual + offset if as_read else residual, inputs)
             heard = own
@@ -258,6 +249,7 @@ class Mapper:
             "log": self.log.state_dict(),
             "witness": self.witness.state_dict(),
             "said": self.said,
+            "worth": self.weights.worth,
             "bias": self.bias.state_dict(),
             "intervals": self.intervals,
             "health": self.health.state_dict(),
@@ -275,15 +267,8 @@ class Mapper:
         self.log.load_state_dict(state["log"], self.device)
         self.witness.load_state_dict(state["witness"])
         self.said = dict(state["said"])
+        self.weights.worth = dict(state["worth"])
         self.bias.load_state_dict(state["bias"])
         self.intervals = dict(state["intervals"])
         self.health.load_state_dict(state["health"])
         self.generator.set_state(state["generator"].cpu())
-
-
-def _typical(weight: Tensor, valid: Tensor) -> float:
-    """Median weight (H, W) of the `valid` readings, of evenly spread ones where there are many; 0 if there is none."""
-    stride = 1 + weight.numel() // _ENOUGH_READINGS | 1  # odd: not the same columns of each row
-    chosen = weight.view(-1)[::stride][valid.view(-1)[::stride]].cpu().numpy()
-    middle = (len(chosen) - 1) // 2
-    return float(np.partition(chosen, middle)[middle]) if len(chosen) else 0.0

@@ -219,6 +219,9 @@ def _end_sweep(
         )
     if heard or progress.sweep > 0:
         _learn(mapper, progress)
+    if heard:
+        with progress.timed("colours"):
+            mapper.weigh_sensors()
 
 
 def _learn(mapper: Mapper, progress: Progression) -> None:
@@ -244,12 +247,13 @@ def _hear_colors(frames: RunFrames, mapper: Mapper, progress: Progression, on_ev
         on_event(Note(f"colour may lie {off} beside its depth, so it does not say where the surface is"))
         return False
     poses = {index: np.array(pose) for index, pose in progress.poses.items()}
-    loss = mapper.witness.look(frames, poses, mapper.surface(), on_event)
+    surface = mapper.surface()
+    loss = mapper.witness.look(frames, poses, surface, on_event)
     if loss is None:
         return False
     progress.losses.setdefault("noise of colour", []).append(loss)
     for number, view in enumerate(_views(frames, mapper.witness.indices, mapper)):
-        mapper.witness.confront(view.frame, view.features, number)
+        mapper.witness.confront(view.frame, view.features, number, surface)
     tried = mapper.witness.indices[:: 1 + len(mapper.witness.indices) // TRIAL_VIEWS]
     mapper.bias.hear(mapper.witness, ((view.frame, view.features) for view in _views(frames, tried, mapper)))
     if mapper.witness.wants_another_look():  # after the next sweep, and one more that hears what it then says

@@ -18,7 +18,7 @@ from .camera import Camera
 from .color_depth import disagreement
 from .config import UncertaintyConfig
 from .noise_features import FEATURES, relative_spread
-from .uncertainty import PixelNetwork
+from .uncertainty import PixelNetwork, Residuals
 
 UNIT_M = 0.1  # of the network's output
 EDGE = 0.05  # of the depth, its spread around a pixel: windows of colour hold two surfaces there, and find neither
@@ -26,6 +26,7 @@ MIN_ONLOOKERS = 3
 MIN_READINGS = 100  # of a view that are seen from others, to count it
 PIXELS = 1500  # of a view that are compared
 MIN_VIEWS = 3
+COLOR_BIAS = 0.35  # betas: what colours of all views can be off alike; readings of two sensors agreed on 0.26 to 0.36
 CONFIRMED, REFUTED = 0.75, 0.25  # share of the views that agree better, from which on, and up to which
 NEAR_M = 1e-3  # readings that agree as well as this agree
 
@@ -47,6 +48,14 @@ class SensorBias(PixelNetwork):
     def correct(self, depth: Tensor, features: Tensor) -> Tensor:
         """depth (H, W) metres as it is read, features (H, W, F) -> (H, W) as it should be."""
         return (depth - self.image(depth, features)).clamp(min=0)
+
+    @torch.no_grad()
+    def exceeds_that_of(self, heard: Residuals, voxel_size_m: float) -> bool:
+        """Whether it is, in the median, more than colour, which it was `heard` from, can be biased itself; of readings
+        of colour that can tell samples of the map apart."""
+        sure = heard.blur < voxel_size_m
+        in_betas = self(heard.features[sure].float().to(self.device)).abs().cpu() / heard.blur[sure]
+        return len(in_betas) > 0 and float(in_betas.median()) > COLOR_BIAS
 
     @torch.no_grad()
     def of(self, features: Tensor) -> Tensor | float:

@@ -33,12 +33,15 @@ class SensorBiases:
 
     def hear(self, witness: ColorWitness, views: Iterable[tuple[Frame, dict[str, Tensor]]]) -> None:
         """Learn from colour where the sensors are biased, and believe it of those that some of its `views`, frame and
-        features, confirm.
+        features, confirm, if it is more than colour's own can be.
 
         A bias that is confirmed tells of colour, too: its poses and calibration are exact.
         """
-        for column, model in enumerate(self.models.values()):
-            model.learn(witness.against(column), self.config.steps_per_sweep, self.generator)
+        exceeds = {}
+        for column, (sensor, model) in enumerate(self.models.items()):
+            heard = witness.against(column)
+            model.learn(heard, self.config.steps_per_sweep, self.generator)
+            exceeds[sensor] = model.exceeds_that_of(heard, witness.voxel_size_m)
         poses = dict(zip(witness.indices, witness.poses, strict=True))
         trials = {sensor: BiasTrial() for sensor in self.models}
         for frame, features in views:
@@ -49,7 +52,7 @@ class SensorBiases:
         self.confirmed = {sensor: share for sensor, share in tried.items() if share is not None}
         before = self._believed()
         for sensor, model in self.models.items():
-            model.believed.fill_(self.confirmed.get(sensor, 0.0) >= CONFIRMED)
+            model.believed.fill_(exceeds[sensor] and self.confirmed.get(sensor, 0.0) >= CONFIRMED)
         self.newly_believed = bool(self._believed() - before)
         witness.judge(max(self.confirmed.values(), default=None))
 

@@ -7,7 +7,8 @@ import pytest
 import torch
 from uncle.recon import pipeline
 from uncle.recon.checkpoint import Checkpoint
-from uncle.recon.color_witness import CONFIRMED_SHARE, FULL_SIZE_PIXELS, ColorWitness
+from uncle.recon.color_depth import MIN_SOURCES
+from uncle.recon.color_witness import FULL_SIZE_PIXELS, ColorWitness
 from uncle.recon.config import ColorConfig, UncertaintyConfig, make_config
 from uncle.recon.events import Progress
 from uncle.recon.frame import Frame
@@ -60,6 +61,21 @@ class OffSurface:
 
     def typical_distance(self, camera, T_world_camera):
         return float(np.median(self.depth_from(camera, T_world_camera)))
+
+
+class RoomSurface:
+    """The room as a map, along rays of whole pixels from `pose`."""
+
+    sdf = torch.zeros(0)
+
+    def __init__(self, room, pose) -> None:
+        self.room, self.pose = room, pose
+
+    def cast(self, origins, directions):
+        local = directions.numpy() @ self.pose[:3, :3]
+        u, v, _ = self.room.camera.project(torch.from_numpy(local))
+        depth = torch.from_numpy(self.room.depth(self.pose)).float()
+        return depth[v.round().long(), u.round().long()]
 
 
 @pytest.fixture(scope="module")
@@ -156,15 +172,43 @@ def test_same_seed_same_readings_and_state_comes_back(box_room, walk):
             assert all(map(torch.equal, ours, theirs))
 
 
-@pytest.mark.parametrize(("scale", "share", "again"), [(1.04, 3.0, True), (1.0, 3.0, False), (1.04, 1.0, False)])
-def test_colour_that_is_exact_is_asked_again_where_it_found_another_surface(box_room, walk, scale, share, again):
+@pytest.mark.parametrize(("scale", "exact", "again"), [(1.04, True, True), (1.0, True, False), (1.04, False, False)])
+def test_colour_that_is_exact_is_asked_again_where_it_found_another_surface(box_room, walk, scale, exact, again):
     witness, _ = witness_of(box_room, walk, scale=scale)
-    witness.share = share
+    witness.confirmed = exact
     assert witness.wants_another_look() == again
     for _ in range(ColorConfig().looks - 1):
         assert witness.wants_another_look() == again
         witness.look(RoomFrames(box_room, walk), dict(enumerate(walk)), OffSurface(box_room, 1.0))
     assert not witness.wants_another_look()
+
+
+def test_what_is_kept_of_a_view_lies_on_the_map(box_room, walk):
+    """The map is the room, the sensor reads 4 % too far: all three depths of a pixel are known."""
+    witness, _ = witness_of(box_room, walk)
+    view, pose = 3, walk[3]
+    frame = RoomFrames(box_room, walk, scale=1.04)[view]
+    features = {"stereo": torch.zeros(*frame.depths["stereo"].shape, 2)}
+    witness.confront(frame, features, view, RoomSurface(box_room, pose))
+    told = witness.testimony
+    assert set(told["views"].tolist()) == {view}
+    expected, places = told["expected"].numpy(), told["places"].numpy()
+    assert (expected > 0).all()
+    np.testing.assert_allclose(told["sensors"][:, 0] / told["expected"], 1.04, rtol=1e-4)
+    assert np.median(np.abs(told["color"].numpy() / expected - 1)) < 0.004
+    size = box_room.mesh().vertices.max(0)
+    walls = np.minimum(np.abs(places), np.abs(places - size)).min(1)
+    np.testing.assert_allclose(walls, 0, atol=1e-4)
+
+
+def test_views_are_related_if_they_were_compared_with_the_same_image(box_room, walk):
+    witness = ColorWitness(box_room.camera, ColorConfig(), STEPS, VOXEL_M, 0)
+    witness.indices, witness.sources = [0, 5, 10, 15], [[5], [20], [20, 30], [40]]
+    related = [[1, 1, 0, 0], [1, 1, 1, 0], [0, 1, 1, 0], [0, 0, 0, 1]]
+    np.testing.assert_array_equal(witness.related(), np.array(related, dtype=bool))
+    looked, _ = witness_of(box_room, walk)
+    assert looked.related().shape == (len(walk),) * 2
+    assert all(len(sources) >= MIN_SOURCES for sources in looked.sources)
 
 
 # --- when it says nothing ----------------------------------------------------------------------------------------
@@ -232,8 +276,10 @@ def test_the_map_overcomes_a_bias_that_its_only_sensor_always_has(box_room, walk
     assert off_by(box_room, without.mapper, walk) == pytest.approx(0.04, abs=0.006)
     assert off_by(box_room, with_colors.mapper, walk) < 0.006
     assert with_colors.mapper.bias.confirmed["stereo"] >= CONFIRMED
-    assert with_colors.mapper.witness.share == CONFIRMED_SHARE
+    assert with_colors.mapper.witness.confirmed
+    assert 0 < with_colors.mapper.weights.worth["stereo"] != 1
     assert not without.mapper.bias.confirmed
+    assert without.mapper.weights.worth == {"stereo": 1.0}
     assert not without.mapper.bias.models["stereo"].believed
 
 
@@ -290,7 +336,8 @@ def test_a_later_trial_that_confirms_nothing_takes_the_bias_back(
     assert next(shares, "asked twice") == "asked twice"
     assert not made.mapper.bias.models["stereo"].believed
     assert made.mapper.bias.confirmed == ({} if share is None else {"stereo": share})
-    assert made.mapper.witness.share == 1.0
+    assert not made.mapper.witness.confirmed
+    assert made.mapper.weights.worth == {"stereo": 1.0}
     assert bool(made.mapper.witness.depths) == heard
 
 
@@ -337,13 +384,13 @@ def test_a_map_that_was_broken_off_is_the_same_with_colours(box_room, walk, tmp_
 
 
 def test_a_view_weighs_as_much_as_the_frames_it_stands_for(box_room, walk):
-    """Fused alone: each sample holds share * frames_per_view times the weight of beta, and the surface lies at the
+    """Fused alone: each sample holds frames_per_view times the weight of beta, and the surface lies at the
     readings."""
     config = make_config("uncle", ["fusion.voxel_size_m=0.05", "fusion.blur_voxels=1"], device="cpu")
     mapper = Mapper(box_room.camera, ("stereo",), config, torch.device("cpu"))
     depth = torch.full((120, 160), 2.0)
     witness = mapper.witness
-    witness.frames, witness.indices, witness.poses, witness.share = 7, [0], [torch.eye(4)], 1.5
+    witness.frames, witness.indices, witness.poses = 7, [0], [torch.eye(4)]
     witness.depths, witness.betas = [depth], [torch.full_like(depth, 0.0625).half()]
     mapper.add_colors()
     mapper.add_colors()
@@ -351,7 +398,7 @@ def test_a_view_weighs_as_much_as_the_frames_it_stands_for(box_room, walk):
     positions = volume.grid.block_positions(torch.arange(len(volume.grid.blocks))).view(-1, 3)
     near = ((positions[:, 2] - 2.0).abs() < 0.1) & (volume.counts() == 2)
     assert near.sum() > 1000
-    expected = 2 * 1.5 * 7 * mapper.weight(torch.tensor(0.0625))
+    expected = 2 * 7 * mapper.weights.of(torch.tensor(0.0625))
     torch.testing.assert_close(volume.sums[near, 0], expected.expand(int(near.sum())), rtol=1e-4, atol=0)
     torch.testing.assert_close(volume.sdf()[near], 2.0 - positions[near, 2], atol=1e-4, rtol=0)
     assert not volume.color_sums.any()

@@ -5,9 +5,10 @@ import torch
 from uncle.recon.camera import Camera
 from uncle.recon.config import make_config
 from uncle.recon.frame import Frame
-from uncle.recon.mapper import DOUBT_BETAS, WEIGHT_FLOOR, Mapper, _typical
+from uncle.recon.mapper import Mapper
 from uncle.recon.noise_features import FEATURES
 from uncle.recon.raycast import cast_rays
+from uncle.recon.reading_weights import DOUBT_BETAS
 
 CAMERA = Camera(80, 60, 60.0, 60.0, 39.5, 29.5)
 DEPTHS = (2.0, 2.012, 1.98, 2.025, 1.991)
@@ -46,7 +47,7 @@ def hits(mapper: Mapper, rays: dict[str, torch.Tensor]) -> torch.Tensor:
 
 def without_itself(mapper, rays, hit, used):
     points = rays["origins"][used] + rays["directions"][used] * hit[used, None]
-    own = mapper.weight(mapper.noise["a"](rays["features"][used, 0].float()))
+    own = mapper.weights.of(mapper.noise["a"](rays["features"][used, 0].float()), "a")
     return mapper._without_itself((rays["depths"][used, 0] - hit[used]).abs(), own, points)
 
 
@@ -80,13 +81,6 @@ def test_a_reading_alone_says_nothing_about_itself():
     used = hit > 0
     _, trusted = without_itself(mapper, rays, hit, used)
     assert not trusted.any()
-
-
-def test_weight_falls_with_the_square_of_beta():
-    weight = make_mapper("fusion.blur_voxels=0").weight(torch.tensor([0.01, 0.02, 0.1]))
-    torch.testing.assert_close(weight, torch.tensor([1.0, 0.25, 0.01]))
-    blurred = make_mapper("fusion.blur_voxels=1").weight(torch.tensor([0.0, 0.01]))  # 5 cm voxels
-    torch.testing.assert_close(blurred, torch.tensor([1 / 25, 1 / 26]))
 
 
 def test_without_uncertainty_every_reading_weighs_the_same():
@@ -132,7 +126,7 @@ def test_free_space_is_weighted_by_what_the_noise_model_doubts():
     z = volume.grid.block_positions(torch.arange(len(volume.grid.blocks))).view(-1, 3)[:, 2]
     beyond = 2.0 - z - volume.truncation_m
     seen = volume.counts() > 0
-    full = float(mapper.weight(torch.tensor(beta)))
+    full = float(mapper.weights.of(torch.tensor(beta), "a"))
     free = seen & (beyond > 0.01)
     assert free.sum() > 1000
     expected = full * (1 - torch.exp(-beyond[free] / (DOUBT_BETAS * beta)))
@@ -218,20 +212,26 @@ def test_share_of_a_frame_that_is_fused_again_counts_once():
     assert before["a"] > 0
 
 
-def test_weights_have_a_floor_below_the_typical_one_of_their_image():
-    mapper, valid = make_mapper("fusion.blur_voxels=0"), torch.tensor([[True, True, True, False]])
-    beta = torch.tensor([[1.0, 0.1, 0.05, 0.01]])  # the sharpest is no reading
-    typical = float(mapper.weight(torch.tensor(0.1)))
-    weight, free_space = mapper._weights(beta, valid)
-    torch.testing.assert_close(weight[valid] / typical, torch.tensor([WEIGHT_FLOOR, 1.0, 4.0]))
-    torch.testing.assert_close(free_space.weight[valid] / typical, torch.tensor([WEIGHT_FLOOR, 1.0, 4.0]).sqrt())
-    torch.testing.assert_close(free_space.doubt_m, DOUBT_BETAS * beta)
-    assert torch.equal(mapper._weights(beta, torch.zeros_like(valid))[0], mapper.weight(beta))
+def test_a_sensor_counts_in_the_map_by_what_its_readings_are_worth():
+    names, betas = ("a", "b"), {}
+    mapper, again = (make_mapper(sensors=names) for _ in range(2))
+    for which, worth in ((mapper, 1.0), (again, 0.25)):
+        which.weights.worth["b"] = worth
+        betas = explore(which, make_frame(0, 2.0, 2.02, names=names))
+    assert all(float(beta.max()) > 0 for beta in betas.values())
+    assert again.said["a"] == pytest.approx(mapper.said["a"])
+    assert again.said["b"] == pytest.approx(mapper.said["b"] / 4)
+    assert make_mapper(sensors=names).weights.worth == {"a": 1.0, "b": 1.0}
+    restored = make_mapper(sensors=names)
+    restored.load_state_dict(again.state_dict())
+    assert restored.weights.worth == {"a": 1.0, "b": 0.25}
 
 
-def test_the_typical_weight_is_the_lower_median():
-    weight, everything = torch.tensor([[4.0, 1.0], [3.0, 2.0]]), torch.ones(2, 2, dtype=torch.bool)
-    assert _typical(weight, everything) == float(weight.median()) == 2.0
+def test_readings_are_worth_1_until_colour_is_known_to_be_exact():
+    mapper = make_mapper()
+    mapper.weights.worth["a"] = 0.2
+    mapper.weigh_sensors()
+    assert mapper.weights.worth == {"a": 1.0}
 
 
 def test_fusing_again_is_as_if_the_new_pose_had_been_known():

@@ -1,0 +1,59 @@
+"""What readings weigh in the map: inverse variance by beta, and how often a sensor repeats its errors."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from torch import Tensor
+
+from .config import FusionConfig
+from .fusion import FreeSpace
+
+WEIGHT_SCALE_M = 0.01  # a reading with this beta weighs 1
+WEIGHT_FLOOR = 0.5  # of the median weight of the image
+DOUBT_BETAS = 2.0  # a reading vouches for free space on the scale of this many betas before it
+COLOR_FREE_SPACE = 0.1  # of its weight: colour is compared around the surface only, what is far before it was not tried
+_ENOUGH_READINGS = 20_000  # for a median
+
+
+class ReadingWeights:
+    """`worth` by sensor: what one of its readings counts beside one of colour with the same beta."""
+
+    def __init__(self, config: FusionConfig, sensors: tuple[str, ...]) -> None:
+        self.blur_m = config.blur_voxels * config.voxel_size_m
+        self.worth = dict.fromkeys(sensors, 1.0)
+
+    def of(self, beta: Tensor, sensor: str | None = None) -> Tensor:
+        """beta (...) metres -> (...) fusion weight of readings of a sensor, None = colour: their inverse variance on
+        this map, times what they are worth.
+
+        A voxel cannot show more than its size, so its own blur adds to the noise of the sensor; without it the few
+        sharpest readings would outvote all others.
+        """
+        worth = 1.0 if sensor is None else self.worth[sensor]
+        return worth * WEIGHT_SCALE_M**2 / (beta.square() + self.blur_m**2).clamp(min=1e-8)
+
+    def of_image(self, beta: Tensor, valid: Tensor, sensor: str) -> tuple[Tensor, FreeSpace]:
+        """beta (H, W) metres of an image -> what its readings weigh, none below `WEIGHT_FLOOR` of their median.
+
+        A silhouette is noisy in every view; without a floor the steadier background behind it would outvote it away.
+        """
+        weight = self.of(beta, sensor)
+        typical = median_weight(weight, valid)
+        weight = weight.clamp(min=WEIGHT_FLOOR * typical)
+        return weight, FreeSpace.of(weight, typical, DOUBT_BETAS * beta)
+
+    def of_color(self, beta: Tensor, valid: Tensor, frames: float) -> tuple[Tensor, FreeSpace]:
+        """beta (H, W) metres of a view of colour that stands for a number of `frames` -> what its readings weigh."""
+        weight = frames * self.of(beta)
+        free_space = FreeSpace.of(weight, median_weight(weight, valid), DOUBT_BETAS * beta)
+        return weight, replace(free_space, weight=COLOR_FREE_SPACE * free_space.weight)
+
+
+def median_weight(weight: Tensor, valid: Tensor) -> float:
+    """Median weight (...) of the `valid` readings, of evenly spread ones where there are many; 0 if there is none."""
+    stride = 1 + weight.numel() // _ENOUGH_READINGS | 1  # odd: not the same columns of each row
+    chosen = weight.reshape(-1)[::stride][valid.reshape(-1)[::stride]].cpu().numpy()
+    middle = (len(chosen) - 1) // 2
+    return float(np.partition(chosen, middle)[middle]) if len(chosen) else 0.0
