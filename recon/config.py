@@ -99,6 +99,9 @@ class ColorConfig(Strict):
         ge=1,
         description="Times that colour is asked, each before a sweep; once if it finds the surface where it is.",
     )
+    weigh_sensors: bool = Field(
+        True, description="Find what readings of each sensor are worth by predicting colour; else all a third."
+    )
     max_views: int = Field(150, ge=3, description="Views whose depth is looked for, at most.")
     shift: float = Field(
         0.03, gt=0, description="A view is chosen when the camera moved by this share of the depth it sees,"

@@ -19,7 +19,7 @@ from .keyframes import KeyframeSelector, RayStore
 from .map_surface import MapSurface
 from .noise_features import noise_features
 from .reading_weights import ReadingWeights
-from .reading_worth import statements, worth_of_readings
+from .reading_worth import UNTESTED, statements, worth_of_readings
 from .sensor_biases import SensorBiases
 from .sensor_health import SensorHealth
 from .stated_intervals import state_intervals
@@ -169,10 +169,12 @@ class Mapper:
         self.weights.worth = dict.fromkeys(self.sensors, 1.0)
         if not self.witness.confirmed:
             return
-        said = statements(self.witness, self.noise, self.bias, self.weights, self.volume.truncation_m)
-        self.weights.worth = worth_of_readings(
-            said, self.witness.related(), self.config.fusion.voxel_size_m, self.sensors
-        )
+        if self.config.color.weigh_sensors:
+            said = statements(self.witness, self.noise, self.bias, self.weights, self.volume.truncation_m)
+            voxel_size_m = self.volume.grid.voxel_size_m
+            self.weights.worth = worth_of_readings(said, self.witness.related(), voxel_size_m, self.sensors)
+        else:
+            self.weights.worth = dict.fromkeys(self.sensors, UNTESTED)
 
     def known(self) -> Tensor:
         """(R,) samples that enough readings saw."""

@@ -62,6 +62,7 @@ GROUPS: dict[str, dict[str, Settings]] = {
         "sweeps 0": ("fusion.sweeps=0",),
         "one look": ("color.looks=1",),
         "one look, sweeps 2": ("color.looks=1", "fusion.sweeps=2"),
+        "readings worth alike": ("color.weigh_sensors=false",),
         "no colour": ("color.enabled=false",),
         "quarter of the steps": ("uncertainty.steps_per_sweep=100",),
         "no blur": ("fusion.blur_voxels=0",),

@@ -13,6 +13,7 @@ from uncle.recon.config import ColorConfig, UncertaintyConfig, make_config
 from uncle.recon.events import Progress
 from uncle.recon.frame import Frame
 from uncle.recon.mapper import Mapper
+from uncle.recon.reading_worth import UNTESTED
 from uncle.recon.recording import RunFrames
 from uncle.recon.sensor_bias import CONFIRMED, REFUTED, BiasTrial
 
@@ -348,6 +349,12 @@ def test_colour_is_asked_as_often_as_is_set(box_room, walk, tmp_path):
     more = reconstructed(box_room, walk, tmp_path / "b", "color.looks=2", "fusion.sweeps=3")
     assert len(more.curves["noise of colour"]) == 2
     assert "sweep 4" in more.seconds
+
+
+def test_readings_are_worth_alike_if_so_set(box_room, walk, tmp_path):
+    made = reconstructed(box_room, walk, tmp_path / "a", "color.weigh_sensors=false")
+    assert made.mapper.witness.confirmed
+    assert made.mapper.weights.worth == {"stereo": UNTESTED}
 
 
 OFF = ["uncertainty.enabled=false", "color.enabled=false", "fusion.sweeps=0"]

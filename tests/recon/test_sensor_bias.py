@@ -53,6 +53,17 @@ def test_takes_nothing_off_unless_believed():
     assert torch.equal(again.of(features), bias.of(features))
 
 
+@pytest.mark.parametrize(
+    ("beta_m", "voxel_size_m", "exceeds"), [(0.05, 0.1, True), (0.07, 0.1, False), (0.05, 0.05, False)]
+)
+def test_a_bias_counts_where_it_is_more_than_colours_own_can_be(beta_m, voxel_size_m, exceeds):
+    """It is 2 cm in the median; colour whose beta is a voxel cannot tell anything."""
+    features = smooth(torch.randn(4000, len(FEATURES), generator=generator(3)))
+    nothing = torch.zeros(len(features))
+    heard = Residuals(nothing, features, nothing + beta_m)
+    assert taught_bias(0.03).exceeds_that_of(heard, voxel_size_m) == exceeds
+
+
 def test_corrects_readings_and_leaves_holes():
     bias = taught_bias(0.03)
     depth = torch.tensor([[2.0, 0.0], [1.0, 0.01]])
