@@ -32,7 +32,7 @@ MAX_REGISTRATION_PX = 1.0  # colour that lies further beside its depth is not he
 _STATE = (
     "looks", "largest_surprise", "frames", "indices", "sources", "poses", "depths", "betas", "testimony", "confirmed",
 )  # fmt: skip
-TESTIMONY = 3000  # pixels of a view that the sensors' models learn from
+TESTIMONY = 3000  # pixels of a view at which the sensors are heard, too
 
 
 class ColorWitness:
@@ -105,12 +105,15 @@ class ColorWitness:
         depth, beta, T_world_camera = self._at_full_size(view)
         pixels = depth.view(-1).nonzero()[:, 0]
         rng = np.random.default_rng((self.seed, view))
-        pixels = pixels[torch.from_numpy(rng.integers(len(pixels), size=TESTIMONY))] if len(pixels) else pixels
+        pixels = pixels[torch.from_numpy(rng.choice(len(pixels), min(TESTIMONY, len(pixels)), replace=False))]
         sensors = torch.stack([image.view(-1)[pixels] for image in frame.depths.values()], 1)
         inputs = torch.stack([image.view(-1, image.shape[-1])[pixels] for image in features.values()], 1)
         told = {"color": depth.view(-1)[pixels], "beta": beta.view(-1)[pixels]}
         told |= {"sensors": sensors, "inputs": inputs.half(), "views": torch.full((len(pixels),), view)}
-        told |= dict(zip(("expected", "places"), self._met(surface, T_world_camera, pixels), strict=True))
+        rays = self.full.rays().view(-1, 3)[pixels]
+        expected = surface.along(rays, T_world_camera).cpu()
+        points = expected[:, None] * rays @ T_world_camera[:3, :3].T + T_world_camera[:3, 3]
+        told |= {"expected": expected, "points": points}
         self.testimony = {n: torch.cat([self.testimony[n], v]) if self.testimony else v for n, v in told.items()}
 
     def against(self, column: int, bias: SensorBias | None = None) -> Residuals:
@@ -130,13 +133,6 @@ class ColorWitness:
         size, images = (self.full.width, self.full.height), (self.depths[view], self.betas[view])
         depth, beta = (cv2.resize(i.float().numpy(), size, interpolation=cv2.INTER_NEAREST) for i in images)
         return torch.from_numpy(depth), torch.from_numpy(beta), self.poses[view]
-
-    def _met(self, surface: MapSurface, T_world_camera: Tensor, pixels: Tensor) -> tuple[Tensor, Tensor]:
-        """Depth (N,) metres at which rays through `pixels` (N,) meet the surface, 0 = not, and where (N, 3)."""
-        centre, ways = T_world_camera[:3, 3], self.full.rays().view(-1, 3)[pixels] @ T_world_camera[:3, :3].T
-        origins, directions = (t.to(surface.sdf.device) for t in (centre.expand(len(ways), 3), ways))
-        depth = surface.cast(origins, directions).cpu()
-        return depth, centre + depth[:, None] * ways
 
     def related(self) -> np.ndarray:
         """(V, V) bool: views that were compared with each other, or with the same frame; each with itself."""

@@ -27,12 +27,16 @@ class MapSurface:
         """(N,) z-depth at which rays (N, 3), (N, 3) of unit z-component meet the surface, metres; 0 = they do not."""
         return cast_rays(self.grid, self.sdf, self.known, origins, directions, self.far_m, self.step_m)
 
+    def along(self, rays: Tensor, T_world_camera: Tensor) -> Tensor:
+        """(N,) z-depth at which rays (N, 3) of a camera meet the surface, metres; 0 = they do not."""
+        T = T_world_camera.to(self.sdf.device)
+        directions = rays.to(self.sdf.device) @ T[:3, :3].T
+        return self.cast(T[:3, 3].expand(len(directions), 3), directions)
+
     def depth_from(self, camera: Camera, T_world_camera: np.ndarray, stride: int = 1) -> np.ndarray:
         """(h, w) metres as seen by every `stride`-th pixel of the camera, 0 where nothing is hit."""
-        T = torch.from_numpy(np.asarray(T_world_camera)).float()
         rays = camera.rays()[::stride, ::stride]
-        directions = (rays.reshape(-1, 3) @ T[:3, :3].T).to(self.sdf.device)
-        hit = self.cast(T[:3, 3].to(self.sdf.device).expand(len(directions), 3), directions)
+        hit = self.along(rays.reshape(-1, 3), torch.from_numpy(np.asarray(T_world_camera)).float())
         return hit.view(rays.shape[:2]).cpu().numpy()
 
     def typical_distance(self, camera: Camera, T_world_camera: np.ndarray) -> float | None:

@@ -67,7 +67,10 @@ class Mapper:
         return self.fuse(frame, features, T_world_camera)
 
     def fuse(self, frame: Frame, features: dict[str, Tensor], T_world_camera: Tensor) -> dict[str, Tensor]:
-        """Fuse all sensors of a frame, each reading weighted by 1 / beta^2; returns beta (H, W) metres by sensor."""
+        """Fuse all sensors of a frame, readings weighted by their beta and what they are worth (`ReadingWeights`).
+
+        Returns beta (H, W) metres by sensor.
+        """
         if self.config.tracking.enabled:
             self.log.note(frame.index, T_world_camera, self.noise, len(self.volume.grid.blocks))
         return self._integrate(frame, features, T_world_camera, self.noise)
@@ -136,10 +139,9 @@ class Mapper:
         """The frame, looked at by `health`, without the sensors that are at odds with the map as it is before it."""
         if not self.volume.grid.rows or not self.config.health.enabled:
             return frame
-        rays = self.health.rays.to(self.device) @ T_world_camera[:3, :3].T
         if self._surface is None:
             self._surface = self.surface()
-        predicted = self._surface.cast(T_world_camera[:3, 3].repeat(len(rays), 1), rays)
+        predicted = self._surface.along(self.health.rays, T_world_camera)
         return self.health.compare(frame, predicted.cpu(), self.volume.max_depth_m)
 
     # --- the whole map -----------------------------------------------------------------------------------------
@@ -165,16 +167,18 @@ class Mapper:
             self.volume.integrate(depth, weight, None, T_world_camera, free_space)
 
     def weigh_sensors(self) -> None:
-        """Find what readings of each sensor are worth, if colour is known to be exact; they are all worth 1 if not."""
-        self.weights.worth = dict.fromkeys(self.sensors, 1.0)
+        """Find what readings of each sensor are worth; only once no frame will be taken out of the map again."""
+        self.weights.worth = self._worth()
+
+    def _worth(self) -> dict[str, float]:
+        """By sensor: found from colour that is known to be exact, unless settings say `UNTESTED`; 1 without it."""
         if not self.witness.confirmed:
-            return
-        if self.config.color.weigh_sensors:
-            said = statements(self.witness, self.noise, self.bias, self.weights, self.volume.truncation_m)
-            voxel_size_m = self.volume.grid.voxel_size_m
-            self.weights.worth = worth_of_readings(said, self.witness.related(), voxel_size_m, self.sensors)
-        else:
-            self.weights.worth = dict.fromkeys(self.sensors, UNTESTED)
+            return dict.fromkeys(self.sensors, 1.0)
+        if not self.config.color.weigh_sensors:
+            return dict.fromkeys(self.sensors, UNTESTED)
+        nominal = ReadingWeights(self.config.fusion, self.sensors)
+        said = statements(self.witness, self.noise, self.bias.models, nominal, self.volume.truncation_m)
+        return worth_of_readings(said, self.witness.related(), self.volume.grid.voxel_size_m, self.sensors)
 
     def known(self) -> Tensor:
         """(R,) samples that enough readings saw."""

@@ -35,7 +35,7 @@ class ReadingWeights:
         return worth * WEIGHT_SCALE_M**2 / (beta.square() + self.blur_m**2).clamp(min=1e-8)
 
     def of_image(self, beta: Tensor, valid: Tensor, sensor: str) -> tuple[Tensor, FreeSpace]:
-        """beta (H, W) metres of an image -> what its readings weigh, none below `WEIGHT_FLOOR` of their median.
+        """beta (...) metres of an image -> what its readings weigh, none below `WEIGHT_FLOOR` of their median.
 
         A silhouette is noisy in every view; without a floor the steadier background behind it would outvote it away.
         """
@@ -45,7 +45,7 @@ class ReadingWeights:
         return weight, FreeSpace.of(weight, typical, DOUBT_BETAS * beta)
 
     def of_color(self, beta: Tensor, valid: Tensor, frames: float) -> tuple[Tensor, FreeSpace]:
-        """beta (H, W) metres of a view of colour that stands for a number of `frames` -> what its readings weigh."""
+        """beta (...) metres of a view of colour that stands for a number of `frames` -> what its readings weigh."""
         weight = frames * self.of(beta)
         free_space = FreeSpace.of(weight, median_weight(weight, valid), DOUBT_BETAS * beta)
         return weight, replace(free_space, weight=COLOR_FREE_SPACE * free_space.weight)

@@ -2,8 +2,9 @@
 
 Beta says how far a reading is off, not how often readings are off together. A stereo matcher repeats its error in every
 frame that sees the same corner, so many of its readings are worth less than their number, and by how much differs from
-sensor to sensor. Colour can tell: what it says in one view is to be predicted from what sensors and colour say of the
-same place in views that have no image in common with it. The factors that predict it best are what readings are worth.
+sensor to sensor. Colour can tell: what it says in one view is to be predicted from what is said of the same place in
+other views, by sensors in all of them, by colour in those that have no image in common with it. The factors on the
+weights of the sensors that predict it best are what their readings are worth.
 """
 
 from __future__ import annotations
@@ -15,12 +16,12 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 from scipy.optimize import minimize
-from scipy.sparse import coo_matrix
+from scipy.sparse import coo_array, csr_array
 from scipy.spatial import cKDTree
 
 from .color_witness import ColorWitness
 from .reading_weights import ReadingWeights
-from .sensor_biases import SensorBiases
+from .sensor_bias import SensorBias
 from .uncertainty import NoiseModel
 
 PLACE_VOXELS = 0.75  # readings this near to each other are of the same place
@@ -28,18 +29,19 @@ UNTESTED = 1 / 3  # where it cannot be found
 ENOUGH = 1000  # predicted readings
 FARTHEST = 50.0  # from 1: less or more cannot be told from nothing or everything
 MAX_PAIRS = 4_000_000  # of readings of the same place; where there are more, fewer readings are asked
+_COUNTED = 50_000  # readings by which pairs are counted
 _PULL = 1e-3  # of the logarithm towards the start, where nothing is said either way
 
 
 @dataclass(frozen=True)
 class Statements:
-    """What is said of places (N, 3) metres on the surface of the map, each from a view (N,).
+    """What is said of points (N, 3) metres on the surface of the map, each from a view (N,).
 
-    offsets, weights (N, S + 1): how far before the surface colour, last, and sensors see it, metres, and what that
-    weighs; not finite where they say nothing. beta (N,): of colour there, metres.
+    offsets, weights (N, S + 1): how far beyond the surface sensors and, last, colour see it, metres, not finite where
+    they say nothing; and what that weighs. beta (N,): of colour there, metres.
     """
 
-    places: np.ndarray
+    points: np.ndarray
     views: np.ndarray
     offsets: np.ndarray
     weights: np.ndarray
@@ -49,18 +51,18 @@ class Statements:
 def statements(
     witness: ColorWitness,
     noise: Mapping[str, NoiseModel],
-    biases: SensorBiases,
+    biases: Mapping[str, SensorBias],
     weights: ReadingWeights,
     truncation_m: float,
 ) -> Statements:
-    """What the witness heard of places on the map, with the uncertainty, biases and weights of the sensors as they are
-    now; readings further from the map than its truncation say nothing."""
+    """What the witness heard of points on the map, with the uncertainty, biases and weights of the sensors as they are
+    now; readings farther from the map than its truncation say nothing."""
     told, offsets, weighs = witness.testimony, [], []
     views = told["views"].unique().tolist()
     for column, (sensor, model) in enumerate(noise.items()):
         depth, inputs = told["sensors"][:, column], told["inputs"][:, column].float()
         beta = model.beta_image(depth.to(model.device), inputs.to(model.device)).cpu()
-        offset = depth - biases.models[sensor].of(inputs) - told["expected"]
+        offset = depth - biases[sensor].of(inputs) - told["expected"]
         offsets.append(torch.where(depth > 0, offset, torch.nan))
         weight = torch.empty_like(beta)
         for view in views:
@@ -71,7 +73,7 @@ def statements(
     offset[offset.abs() >= truncation_m] = torch.nan
     weight = torch.stack([*weighs, weights.of(told["beta"].float())], 1)
     seen = told["expected"] > 0
-    columns = (told["places"], told["views"], offset, weight, told["beta"].float())
+    columns = (told["points"], told["views"], offset, weight, told["beta"].float())
     return Statements(*(values[seen].numpy() for values in columns))
 
 
@@ -86,7 +88,8 @@ def worth_of_readings(
     first = np.full(len(sensors), np.log(UNTESTED))
     said = _thinned(said, PLACE_VOXELS * voxel_size_m)
     weights, sums = _sums_of_others(said, related, PLACE_VOXELS * voxel_size_m)
-    known = np.isfinite(said.offsets[:, -1]) & (said.beta < voxel_size_m) & (weights.sum(1) > 0)
+    known = np.isfinite(said.offsets[:, -1]) & (said.beta < voxel_size_m)
+    known &= (weights > 0).sum(1) > 1  # where one alone speaks, its factor makes no difference
     if known.sum() < ENOUGH:
         return dict.fromkeys(sensors, UNTESTED)
     wanted, scale = said.offsets[known, -1], np.hypot(said.beta[known], 0.25 * voxel_size_m)
@@ -107,30 +110,26 @@ def worth_of_readings(
 
 def _thinned(said: Statements, radius_m: float) -> Statements:
     """So few of the statements that there are about `MAX_PAIRS` within `radius_m` of each other."""
-    tree = cKDTree(said.places)
-    pairs = (tree.count_neighbors(tree, radius_m) - len(said.places)) / 2
-    step = math.ceil(math.sqrt(pairs / MAX_PAIRS)) if pairs > MAX_PAIRS else 1
+    few = 1 + len(said.points) // _COUNTED
+    tree = cKDTree(said.points[::few])
+    pairs = few**2 * (tree.count_neighbors(tree, radius_m) - tree.n) / 2
+    step = max(1, math.ceil(math.sqrt(pairs / MAX_PAIRS)))
     return Statements(*(values[::step] for values in vars(said).values()))
 
 
 def _sums_of_others(said: Statements, related: np.ndarray, radius_m: float) -> tuple[np.ndarray, np.ndarray]:
     """(N, S + 1) weights, and weights times offsets, of what other views say of each place; for colour, last, those
     that are not related."""
-    near = cKDTree(said.places).query_pairs(radius_m, output_type="ndarray")
+    near = cKDTree(said.points).query_pairs(radius_m, output_type="ndarray")
     place, other = np.concatenate([near, near[:, ::-1]]).T
     views = said.views[place], said.views[other]
+    others, strangers = (_sum_over(place[m], other[m], said) for m in (views[0] != views[1], ~related[views]))
     there = np.isfinite(said.offsets)
     weights = np.where(there, said.weights, 0.0)
     products = weights * np.where(there, said.offsets, 0.0)
-
-    def sums(values: np.ndarray) -> np.ndarray:
-        of_sensors = _sum_of(place, other, views[0] != views[1], values[:, :-1])
-        return np.column_stack([of_sensors, _sum_of(place, other, ~related[views], values[:, -1:])])
-
-    return sums(weights), sums(products)
+    return tuple(np.column_stack([others @ v[:, :-1], strangers @ v[:, -1:]]) for v in (weights, products))
 
 
-def _sum_of(place: np.ndarray, other: np.ndarray, chosen: np.ndarray, values: np.ndarray) -> np.ndarray:
-    """For each place the sum of `values` (N, C) over the others it is paired with, of the `chosen` pairs."""
-    ones = np.ones(np.count_nonzero(chosen), np.float32)
-    return coo_matrix((ones, (place[chosen], other[chosen])), shape=(len(values),) * 2).tocsr() @ values
+def _sum_over(place: np.ndarray, other: np.ndarray, said: Statements) -> csr_array:
+    """The (N, N) matrix that sums over the others that each place is paired with."""
+    return coo_array((np.ones(len(place), np.float32), (place, other)), shape=(len(said.views),) * 2).tocsr()

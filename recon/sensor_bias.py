@@ -3,7 +3,8 @@
 A sensor that errs the same way from everywhere makes a map that errs with it, so the map cannot tell. What colour says
 is noisy, but its middle is right where poses and the calibration of colour are. Whether they are is tested without it:
 offsets that depend on what an image shows, such as the distance, make views of the same place disagree. Taking the
-right ones off lets the views agree better, taking false ones off makes them agree less.
+right ones off lets the views agree better, taking false ones off makes them agree less. What is less than colour
+itself can be off by, in all views alike, is left alone.
 """
 
 from __future__ import annotations
@@ -52,9 +53,10 @@ class SensorBias(PixelNetwork):
     @torch.no_grad()
     def exceeds_that_of(self, heard: Residuals, voxel_size_m: float) -> bool:
         """Whether it is, in the median, more than colour, which it was `heard` from, can be biased itself; of readings
-        of colour that can tell samples of the map apart."""
-        sure = heard.blur < voxel_size_m
-        in_betas = self(heard.features[sure].float().to(self.device)).abs().cpu() / heard.blur[sure]
+        of colour that can tell samples of the map apart, away from edges of depth."""
+        features = heard.features.float()
+        sure = (heard.blur < voxel_size_m) & (relative_spread(features) < EDGE)
+        in_betas = self(features[sure].to(self.device)).abs().cpu() / heard.blur[sure]
         return len(in_betas) > 0 and float(in_betas.median()) > COLOR_BIAS
 
     @torch.no_grad()

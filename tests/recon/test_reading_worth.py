@@ -1,9 +1,15 @@
 """What readings are worth: sensors and colours whose errors are known, and when nothing can be told."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
+import torch
+from scipy.spatial import cKDTree
 from uncle.recon import reading_worth
-from uncle.recon.reading_worth import UNTESTED, Statements, worth_of_readings
+from uncle.recon.config import FusionConfig
+from uncle.recon.reading_weights import ReadingWeights
+from uncle.recon.reading_worth import UNTESTED, Statements, statements, worth_of_readings
 
 VIEWS, PLACES, VOXEL_M, BETA_M = 24, 400, 0.02, 0.004
 
@@ -79,18 +85,78 @@ def test_nothing_can_be_told(why):
     elif why == "unsure":
         said.beta[:] = 2 * VOXEL_M
     elif why == "alone":
-        said.places[:, 1] = np.arange(len(said.views))  # no two readings of a place
+        said.points[:, 1] = np.arange(len(said.views))  # no two readings of a place
     else:
         said.offsets[:, -1] = np.nan
     assert worth(said) == {"a": UNTESTED, "b": UNTESTED}
 
 
-def test_many_readings_of_a_place_are_thinned(monkeypatch):
+def test_what_one_source_alone_predicts_does_not_count():
     said = made_statements()
-    every = worth(said)
-    monkeypatch.setattr(reading_worth, "MAX_PAIRS", PLACES * VIEWS * (VIEWS - 1) // 8)
+    alone = made_statements(1)
+    alone.points[:, 0] += 1000.0
+    alone.offsets[:, 1] = np.nan  # and no colour but that to be predicted
+    related = np.kron(np.eye(2, dtype=bool), np.ones((VIEWS, VIEWS), dtype=bool))
+    related[:VIEWS, :VIEWS] = apart()
+    alone.views[:] += VIEWS
+    both = Statements(*map(np.concatenate, zip(vars(said).values(), vars(alone).values(), strict=True)))
+    expected = worth(said)
+    assert worth(both, related) == pytest.approx(expected, rel=1e-6)
+
+
+def test_many_readings_of_a_place_are_thinned(monkeypatch):
+    rng = np.random.default_rng(0)
+    ordered = made_statements()
+    order = rng.permutation(len(ordered.views))
+    said = Statements(*(values[order] for values in vars(ordered).values()))
+    every, pairs = worth(said), PLACES * VIEWS * (VIEWS - 1) // 2
+    monkeypatch.setattr(reading_worth, "MAX_PAIRS", pairs // 4)
     thinned = reading_worth._thinned(said, 0.75 * VOXEL_M)
-    assert len(thinned.views) == len(said.views) // 2
+    left = len(cKDTree(thinned.points).query_pairs(0.75 * VOXEL_M))
+    assert left == pytest.approx(pairs / 4, rel=0.1)
     some = worth(said)
     assert some["a"] == pytest.approx(every["a"], rel=0.5)
     assert some["b"] < 0.3
+
+
+# --- what the witness heard --------------------------------------------------------------------------------------
+class Known:
+    """A bias of 1 cm and a beta of 2 cm, everywhere."""
+
+    device = torch.device("cpu")
+
+    def of(self, features):
+        return torch.full((len(features),), 0.01)
+
+    def beta_image(self, depth, features):
+        return torch.full_like(depth, 0.02) * (depth > 0)
+
+
+class Unbiased(Known):
+    def of(self, features):
+        return 0.0
+
+
+def test_statements_are_offsets_from_the_map_by_view():
+    """Pixels: both read; "a" reads nothing; "b" is beyond truncation; the map shows nothing."""
+    told = {
+        "points": torch.arange(12.0).view(4, 3),
+        "views": torch.tensor([2, 2, 0, 0]),
+        "expected": torch.tensor([2.0, 2.0, 3.0, 0.0]),
+        "color": torch.tensor([2.005, 1.99, 3.0, 1.0]),
+        "beta": torch.tensor([0.01, 0.02, 0.03, 0.04]).half(),
+        "sensors": torch.tensor([[2.02, 1.98], [0.0, 2.0], [3.03, 3.2], [1.0, 1.0]]),
+        "inputs": torch.zeros(4, 2, 5).half(),
+    }
+    witness = SimpleNamespace(testimony=told)
+    weights = ReadingWeights(FusionConfig(voxel_size_m=0.02, blur_voxels=0), ("a", "b"))
+    said = statements(witness, {"a": Known(), "b": Known()}, {"a": Known(), "b": Unbiased()}, weights, 0.1)
+    nan = np.nan
+    offsets = [[0.01, -0.02, 0.005], [nan, 0.0, -0.01], [0.02, nan, 0.0]]
+    np.testing.assert_allclose(said.offsets, offsets, atol=1e-6)
+    np.testing.assert_array_equal(said.views, [2, 2, 0])
+    np.testing.assert_array_equal(said.points, told["points"][:3])
+    np.testing.assert_allclose(said.beta, [0.01, 0.02, 0.03], rtol=1e-3)
+    np.testing.assert_allclose(said.weights[[0, 2], 0], 0.25, rtol=1e-4)
+    np.testing.assert_allclose(said.weights[:, 1], 0.25, rtol=1e-4)
+    np.testing.assert_allclose(said.weights[:, 2], 1e-4 / said.beta**2, rtol=1e-3)

@@ -60,6 +60,7 @@ def test_a_bias_counts_where_it_is_more_than_colours_own_can_be(beta_m, voxel_si
     """It is 2 cm in the median; colour whose beta is a voxel cannot tell anything."""
     features = smooth(torch.randn(4000, len(FEATURES), generator=generator(3)))
     nothing = torch.zeros(len(features))
+    features[: 6 * len(features) // 10, FEATURES.index("spread_7")] = 1.0  # beside edges, where it says nothing
     heard = Residuals(nothing, features, nothing + beta_m)
     assert taught_bias(0.03).exceeds_that_of(heard, voxel_size_m) == exceeds
 
