@@ -26,7 +26,7 @@ from .run import Manifest, RunDirectory
 from .sensor_pictures import draw_sensors, estimated_sensors
 from .snapshot import draw_mesh, load_reference, load_run_mesh, snapshot_views
 from .storage import write_text
-from .uncertainty_summary import map_shares, summarise, summary_table
+from .uncertainty_summary import standing_of, summarise, summary_table
 
 _SUMMARY = (  # order of the metrics
     "surface", "trajectory", "tracking", "held_out", "uncertainty", "skipped", "notes", "settings",
@@ -150,12 +150,11 @@ def _faults(run: RunDirectory, sensor: str) -> str:
 
 def _trust(run: RunDirectory, readings: dict[str, Readings | None]) -> str:
     """How much each sensor has to say in the map, and what it is believed to be off by."""
-    shares = map_shares(run)
-    found = {sensor: summarise(seen, shares.get(sensor)) for sensor, seen in readings.items() if seen is not None}
+    found = {sensor: summarise(seen, standing_of(run, sensor)) for sensor, seen in readings.items() if seen is not None}
     if not found:
         return ""
     header, rows = summary_table(found)
-    text = "Share of each sensor in the weights of the map, and its beta: the mean error that a reading promises."
+    text = "What each sensor counts in the map, and its beta: the mean error that a reading promises."
     return explain(text) + table(header, rows, numbers=range(1, len(header) - 1))
 
 

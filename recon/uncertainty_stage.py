@@ -15,7 +15,7 @@ from .run import RunDirectory
 from .run_metrics import score_uncertainty, to_plain
 from .sensor_pictures import draw_sensors, estimated_sensors
 from .storage import write_bytes
-from .uncertainty_summary import SensorUncertainty, map_shares, summarise
+from .uncertainty_summary import SensorUncertainty, standing_of, summarise
 from .visibility import GROUND_TRUTH_SENSOR
 
 
@@ -47,7 +47,7 @@ def uncertainty_run(
     run.require_stage("map")
     frames = RunFrames(run)
     shown = _choose(frames, sensors, frame)
-    has_truth, shares = GROUND_TRUTH_SENSOR in frames.sensors, map_shares(run)
+    has_truth = GROUND_TRUTH_SENSOR in frames.sensors
     found: dict[str, SensorUncertainty] = {}
     skipped: dict[str, str] = {}
     charts: list[Path] = []
@@ -62,7 +62,7 @@ def uncertainty_run(
                 scores = score_uncertainty(frames, sensor, seed, on_event)
             except DataError as error:
                 skipped[f"{sensor}, scores"] = str(error)
-        found[sensor] = summarise(readings, shares.get(sensor), scores)
+        found[sensor] = summarise(readings, standing_of(run, sensor), scores)
         charts.append(_write(out / f"noise_{sensor}.png", noise_chart(sensor, noise_of(readings))))
         chart = calibration_chart(sensor, to_plain(scores.curves)) if scores is not None else None
         charts += [_write(out / f"calibration_{sensor}.png", chart)] if chart else []

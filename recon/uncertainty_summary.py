@@ -18,16 +18,29 @@ FEWEST = 50  # readings that a distance needs
 
 
 @dataclass(frozen=True)
+class Standing:
+    """What a sensor counts in the map; None = unknown.
+
+    map_share        share of its readings in the weights that decide where the surface of the map is
+    reading_worth    what one of them counts beside one of colour with the same beta
+    """
+
+    map_share: float | None = None
+    reading_worth: float | None = None
+
+
+@dataclass(frozen=True)
 class SensorUncertainty:
     """Of one sensor; None = unknown.
 
-    map_share        share of its readings in the weights that decide where the surface of the map is
+    map_share, reading_worth    as in `Standing`
     median_beta_m    of the readings that were looked at; `low_beta_m` and `high_beta_m`: their 10th and 90th percentile
     beta_at_m        distance in metres, as text -> median beta of the readings about there
     scores           against the true depth
     """
 
     map_share: float | None
+    reading_worth: float | None
     readings: int
     median_beta_m: float
     low_beta_m: float
@@ -37,12 +50,13 @@ class SensorUncertainty:
 
 
 def summarise(
-    readings: Readings, map_share: float | None, scores: UncertaintyMetrics | None = None
+    readings: Readings, standing: Standing = Standing(), scores: UncertaintyMetrics | None = None
 ) -> SensorUncertainty:
     """The figures of one sensor."""
     low, median, high = (_rounded(value) for value in np.percentile(readings.beta, (10, 50, 90)))
     at = {str(distance): _beta_at(readings, distance) for distance in DISTANCES_M}
-    return SensorUncertainty(map_share, len(readings.beta), median, low, high, at, scores)
+    counts = standing.map_share, standing.reading_worth
+    return SensorUncertainty(*counts, len(readings.beta), median, low, high, at, scores)
 
 
 def _beta_at(readings: Readings, distance_m: float) -> float | None:
@@ -55,13 +69,12 @@ def _rounded(beta_m: np.floating) -> float:
     return round(float(beta_m), 5)
 
 
-def map_shares(run: RunDirectory) -> dict[str, float]:
-    """Share of each sensor in the map as the map stage recorded it; nothing where it did not."""
+def standing_of(run: RunDirectory, sensor: str) -> Standing:
+    """What the sensor counts as the map stage recorded it."""
     mapped = run.manifest.stages.get("map")
-    shares = mapped.facts.get("sensor_share") if mapped else None
-    if not isinstance(shares, dict):
-        return {}
-    return {sensor: float(share) for sensor, share in shares.items() if isinstance(share, int | float)}
+    known = [mapped.facts.get(fact) if mapped else None for fact in ("sensor_share", "reading_worth")]
+    values = [fact.get(sensor) if isinstance(fact, dict) else None for fact in known]
+    return Standing(*(float(value) if isinstance(value, int | float) else None for value in values))
 
 
 def summary_table(sensors: Mapping[str, SensorUncertainty]) -> tuple[list[str], list[list[str]]]:
@@ -76,6 +89,7 @@ def _figures(sensor: SensorUncertainty) -> list[tuple[str, str, str]]:
     share = "-" if sensor.map_share is None else f"{sensor.map_share * 100:.1f}"
     rows = [
         ("share in the map", share, "%"),
+        *([] if sensor.reading_worth is None else [("worth of a reading", f"{sensor.reading_worth:.2f}", "")]),
         ("beta, median", _cm(sensor.median_beta_m), "cm"),
         ("beta of the middle 80 % of readings", f"{_cm(sensor.low_beta_m)} to {_cm(sensor.high_beta_m)}", "cm"),
         *((f"beta at {distance} m", _cm(beta), "cm") for distance, beta in sensor.beta_at_m.items()),
