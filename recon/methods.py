@@ -124,6 +124,7 @@ def _fused(job: Job) -> Made:
     output.write_curves(made.curves)
     facts = {"seconds": _rounded(made.seconds), "keyframes": len(made.mapper.selector.T_camera_world)}
     facts["bias_confirmed"] = {sensor: round(share, 4) for sensor, share in made.mapper.bias.confirmed.items()}
+    facts["bias_taken_off"] = sorted(made.mapper.bias.believed())
     facts["reading_worth"] = {sensor: round(worth, 4) for sensor, worth in made.mapper.weights.worth.items()}
     facts["intervals_in_betas"] = {sensor: widths for sensor, widths in made.mapper.intervals.items() if widths}
     facts["sensor_share"] = {sensor: round(share, 4) for sensor, share in made.mapper.sensor_share().items()}

@@ -50,10 +50,10 @@ class SensorBiases:
                 trials[sensor].add(depth, corrected, poses[frame.index].numpy())
         tried = {sensor: trial.share_better(self.camera, self.seed) for sensor, trial in trials.items()}
         self.confirmed = {sensor: share for sensor, share in tried.items() if share is not None}
-        before = self._believed()
+        before = self.believed()
         for sensor, model in self.models.items():
             model.believed.fill_(exceeds[sensor] and self.confirmed.get(sensor, 0.0) >= CONFIRMED)
-        self.newly_believed = bool(self._believed() - before)
+        self.newly_believed = bool(self.believed() - before)
         witness.judge(max(self.confirmed.values(), default=None))
 
     def corrected(self, frame: Frame, features: dict[str, Tensor]) -> Frame:
@@ -75,7 +75,8 @@ class SensorBiases:
             depths.clamp_(min=0)
         return corrected
 
-    def _believed(self) -> set[str]:
+    def believed(self) -> set[str]:
+        """The sensors whose bias is taken off."""
         return {sensor for sensor, model in self.models.items() if model.believed}
 
     def _correct(self, sensor: str, depth: Tensor, features: dict[str, Tensor]) -> Tensor:
