@@ -27,7 +27,7 @@ from .uncertainty import NoiseModel, Residuals
 FULL_SIZE_PIXELS = 200_000  # larger images are halved: finer pixels than the map's samples cost time only
 SAMPLES = 4000  # pixels of a view that teach
 MIN_ONLOOKERS = 3
-SURPRISE = math.log(2)  # betas of colour: half of its readings are this far from a surface that is right
+SURPRISE = 1.1 * math.log(2)  # betas: from a surface that is right half of the readings are ln 2 away, give or take
 MAX_REGISTRATION_PX = 1.0  # colour that lies further beside its depth is not heard: twice the step of the search
 _STATE = (
     "looks", "largest_surprise", "frames", "indices", "sources", "poses", "depths", "betas", "testimony", "confirmed",
