@@ -12,6 +12,7 @@ from .options import json_option, run_option, seed_option
 
 if TYPE_CHECKING:
     from ..recon.camera_path import CameraPath
+    from ..recon.color_metrics import HeldOutColor
     from ..recon.depth_metrics import HeldOutDepth
     from ..recon.run_metrics import EvalSettings, RunMetrics, SurfaceMetrics
 
@@ -197,6 +198,8 @@ def _print_run(metrics: RunMetrics) -> None:
     if metrics.held_out:
         rows = [row for held_out in metrics.held_out.values() for row in held_out_rows(held_out)]
         print_table("Depth of held-out frames", HEADER, rows)
+    if metrics.held_out_color is not None:
+        print_table("Colour of held-out frames", HEADER, color_rows(metrics.held_out_color))
     for sensor, uncertainty in metrics.uncertainty.items():
         print_table(f"Uncertainty of {sensor}", HEADER, uncertainty_rows(uncertainty))
     _print_remarks(metrics.skipped, metrics.notes)
@@ -249,6 +252,15 @@ def held_out_rows(metrics: HeldOutDepth) -> Rows:
         (f"L1 to {metrics.sensor}, mean / median", f"{_cm(metrics.l1_m)} / {_cm(metrics.median_m)}", "cm"),
         ("share of readings where the mesh is", _percent(metrics.completeness), "%"),
         ("frames", str(metrics.frames), ""),
+    ]
+
+
+def color_rows(metrics: HeldOutColor) -> Rows:
+    """Rows in dB and %."""
+    return [
+        ("PSNR", "-" if metrics.psnr_db is None else f"{metrics.psnr_db:.2f}", "dB"),
+        ("L1", "-" if metrics.l1 is None else _percent(metrics.l1), "% of full scale"),
+        ("share of pixels where the mesh is", _percent(metrics.completeness), "%"),
     ]
 
 

@@ -7,7 +7,9 @@ from collections.abc import Sequence
 import numpy as np
 
 from .events import OnEvent, ignore, track_progress
+from .mesh_io import Mesh
 from .shading import BACKGROUND, SUPERSAMPLING, Geometry, Layer, LitTriangles, average_down, light_triangles
+from .surface import Surface
 from .views import View
 
 Pictures = dict[str, list[np.ndarray]]  # layer name -> one (H, W, 3) uint8 picture per view
@@ -26,20 +28,8 @@ def render(geometry: Geometry, layers: Sequence[Layer], views: Sequence[View], o
 
 def _cast(vertices: np.ndarray, faces: np.ndarray, view: View) -> tuple[np.ndarray, np.ndarray]:
     """(H, W) int64 triangle seen by each subpixel, -1 for none, and (H, W, 3) its barycentric weights."""
-    import open3d as o3d
-
     camera = view.camera.resized(view.camera.width * SUPERSAMPLING, view.camera.height * SUPERSAMPLING)
-    if len(faces) == 0:
-        return np.full((camera.height, camera.width), -1), np.zeros((camera.height, camera.width, 3))
-    scene = o3d.t.geometry.RaycastingScene()
-    scene.add_triangles(np.ascontiguousarray(vertices, np.float32), np.ascontiguousarray(faces, np.uint32))
-    directions = camera.rays().numpy() @ view.T_world_camera[:3, :3].T.astype(np.float32)
-    origins = np.broadcast_to(view.T_world_camera[:3, 3].astype(np.float32), directions.shape)
-    answer = scene.cast_rays(o3d.core.Tensor(np.concatenate([origins, directions], axis=-1)))
-    hit = np.isfinite(answer["t_hit"].numpy())
-    uv = answer["primitive_uvs"].numpy()
-    weights = np.stack([1 - uv[..., 0] - uv[..., 1], uv[..., 0], uv[..., 1]], axis=-1)
-    return np.where(hit, answer["primitive_ids"].numpy().astype(np.int64), -1), weights
+    return Surface(Mesh(vertices, faces)).triangles(camera, view.T_world_camera)
 
 
 def _fill(lit: LitTriangles, layer: Layer, triangles: np.ndarray, weights: np.ndarray) -> np.ndarray:

@@ -29,7 +29,7 @@ from .storage import write_text
 from .uncertainty_summary import standing_of, summarise, summary_table
 
 _SUMMARY = (  # order of the metrics
-    "surface", "trajectory", "tracking", "held_out", "uncertainty", "skipped", "notes", "settings",
+    "surface", "trajectory", "tracking", "held_out", "held_out_color", "uncertainty", "skipped", "notes", "settings",
 )  # fmt: skip
 
 _CAPTIONS = {

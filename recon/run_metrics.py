@@ -13,6 +13,7 @@ from typing import Any, TypeVar
 import numpy as np
 
 from .calibration import UncertaintyMetrics, evaluate_uncertainty
+from .color_metrics import HeldOutColor, held_out_color
 from .confidence_metrics import ConfidenceMetrics, evaluate_confidence
 from .depth_metrics import HeldOutDepth, NovelViewDepth, ViewSettings, held_out_depth, novel_view_depth
 from .errors import DataError, RunError, UncleError
@@ -70,6 +71,7 @@ class RunMetrics:
     trajectory: TrajectoryMetrics | None
     tracking: TrackingMetrics | None  # None, without a reason, where the poses were given
     held_out: dict[str, HeldOutDepth]
+    held_out_color: HeldOutColor | None
     uncertainty: dict[str, UncertaintyMetrics]
     skipped: dict[str, str]
     notes: tuple[str, ...]
@@ -112,7 +114,7 @@ def score_surface(
 
 
 def evaluate_run(run: RunDirectory, settings: EvalSettings | None = None, on_event: OnEvent = ignore) -> RunMetrics:
-    """Score what `run` holds: mesh, trajectory, depth of held-out frames, uncertainty.
+    """Score what `run` holds: mesh, trajectory, depth and colour of held-out frames, uncertainty.
 
     Raises RunError if there is no run, or nothing in it can be scored.
     """
@@ -124,6 +126,9 @@ def evaluate_run(run: RunDirectory, settings: EvalSettings | None = None, on_eve
     trajectory = _attempt("trajectory", skipped, lambda: score_trajectory(run))
     tracking = _attempt("tracking", skipped, lambda: score_tracking(run))
     held_out = _attempt("held_out", skipped, lambda: _score_held_out(run, manifest, frames, on_event)) or {}
+    colors = None
+    if held_out:
+        colors = _attempt("held_out_color", skipped, lambda: _score_held_out_color(run, manifest, frames, on_event))
     uncertainty = {}
     for sensor in _sensors_with_beta(run, manifest, skipped):
         scored = _attempt(
@@ -137,7 +142,9 @@ def evaluate_run(run: RunDirectory, settings: EvalSettings | None = None, on_eve
     if surface is not None:
         skipped |= surface.skipped
     notes = _notes(surface, trajectory, tracking)
-    return RunMetrics(str(run.root), surface, trajectory, tracking, held_out, uncertainty, skipped, notes, settings)
+    return RunMetrics(
+        str(run.root), surface, trajectory, tracking, held_out, colors, uncertainty, skipped, notes, settings
+    )
 
 
 def write_error_mesh(path: Path, mesh: Mesh, reference: Mesh, metrics: MeshMetrics | None) -> None:
@@ -208,6 +215,12 @@ def _score_held_out(
 
     sensors = (GROUND_TRUTH_SENSOR,) if true else mapped
     return {sensor: held_out_depth(mesh, frames.camera, views(sensor), sensor) for sensor in sensors}
+
+
+def _score_held_out_color(run: RunDirectory, manifest: Manifest, frames: RunFrames, on_event: OnEvent) -> HeldOutColor:
+    indices = _held_out_indices(manifest, frames)
+    shown = track_progress(indices, len(indices), "held-out colour", on_event)
+    return held_out_color(_run_mesh(run), frames.camera, ((frames.pose(i), frames.color(i).numpy()) for i in shown))
 
 
 def _held_out_indices(manifest: Manifest, frames: RunFrames) -> list[int]:

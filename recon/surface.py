@@ -40,6 +40,18 @@ class Surface:
         hit = self._scene.cast_rays(rays)["t_hit"].numpy()
         return np.where(np.isfinite(hit), hit, 0.0).astype(np.float32)
 
+    def triangles(self, camera: Camera, T_world_camera: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """(H, W) int64 triangle that each pixel sees from `T_world_camera` (4, 4), -1 where none is, and the (H, W, 3)
+        barycentric weights of its corners there."""
+        directions = camera.rays().numpy() @ T_world_camera[:3, :3].T.astype(np.float32)
+        if self._is_empty:
+            return np.full(directions.shape[:2], -1), np.zeros_like(directions)
+        origins = np.broadcast_to(T_world_camera[:3, 3].astype(np.float32), directions.shape)
+        answer = self._scene.cast_rays(np.concatenate([origins, directions], axis=-1))
+        hit, uv = np.isfinite(answer["t_hit"].numpy()), answer["primitive_uvs"].numpy()
+        weights = np.stack([1 - uv[..., 0] - uv[..., 1], uv[..., 0], uv[..., 1]], axis=-1)
+        return np.where(hit, answer["primitive_ids"].numpy().astype(np.int64), -1), weights
+
     def depth(self, camera: Camera, T_world_camera: np.ndarray) -> np.ndarray:
         """(H, W) float32 z-depth in metres seen from `T_world_camera` (4, 4), 0 where no surface is."""
         directions = camera.rays().numpy() @ T_world_camera[:3, :3].T

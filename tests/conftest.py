@@ -77,7 +77,8 @@ def box_room() -> BoxRoom:
 
 @pytest.fixture
 def make_box_run(tmp_path: Path, box_room: BoxRoom) -> Callable[..., RunDirectory]:
-    """Makes a preprocessed run of the room; sensor `noisy` has Laplace errors whose scale grows with depth."""
+    """Makes a preprocessed run of the room, in one colour; the errors of sensor `noisy` are Laplace, of a scale that
+    grows with depth."""
 
     def make(sensors: tuple[str, ...] = ("gt", "noisy"), angles: np.ndarray | None = None) -> RunDirectory:
         run = RunDirectory(tmp_path / "run")
@@ -87,11 +88,12 @@ def make_box_run(tmp_path: Path, box_room: BoxRoom) -> Callable[..., RunDirector
         for index, pose in enumerate(poses):
             _write_depths(run, box_room, sensors, index, pose)
             record = FrameRecord(
-                index=index, source_index=index, timestamp=index, color="none.jpg", sensors=sensors,
+                index=index, source_index=index, timestamp=index, color="all.jpg", sensors=sensors,
                 T_world_camera=pose.tolist(),
             )  # fmt: skip
             records.append(record.model_dump_json())
         write_text(run.frames_path, f"[{','.join(records)}]")
+        write_image(run.color_path("all.jpg"), np.full((120, 160, 3), (200, 120, 60), np.uint8))
         box_room.mesh().save(tmp_path / "reference.ply")
         run.save_manifest(
             Manifest(
@@ -108,7 +110,7 @@ def make_box_run(tmp_path: Path, box_room: BoxRoom) -> Callable[..., RunDirector
 
 @pytest.fixture
 def make_mappable_run(make_box_run: Callable[..., RunDirectory], box_room: BoxRoom) -> Callable[..., RunDirectory]:
-    """The run of `make_box_run` with colours and exact normals, which is all that `uncle map` reads."""
+    """The run of `make_box_run` with exact normals, which is all else that `uncle map` reads."""
 
     def make(sensors: tuple[str, ...] = ("gt", "noisy"), angles: np.ndarray | None = None) -> RunDirectory:
         run = make_box_run(sensors, angles)
@@ -116,7 +118,6 @@ def make_mappable_run(make_box_run: Callable[..., RunDirectory], box_room: BoxRo
         for index, pose in enumerate(poses):
             for sensor in sensors:
                 write_image(run.normal_path(sensor, index), encode_normals(box_room.normals(pose)))
-        write_image(run.color_path("none.jpg"), np.full((120, 160, 3), (200, 120, 60), np.uint8))
         return run
 
     return make

@@ -11,6 +11,7 @@ SURFACE = (
     Metric("accuracy cm", "accuracy_mean_m", 100, 3, -1), Metric("completeness cm", "completeness_mean_m", 100, 3, -1),
     Metric("depth L1 cm", "depth_l1_m", 100, 3, -1),
     Metric("held-out L1 cm", "held_out_l1_m", 100, 3, -1), Metric("held-out seen %", "held_out_seen", 100, 2, 1),
+    Metric("held-out PSNR dB", "held_out_psnr_db", 1, 2, 1),
 )  # fmt: skip
 TRAJECTORY = (
     Metric("ATE cm", "ate_m", 100, 3, -1), Metric("ATE aligned cm", "ate_aligned_m", 100, 3, -1),
@@ -41,13 +42,15 @@ def surface_scores(surface: Record) -> Record:
 
 
 def scores(metrics: Record) -> Record:
-    """Surface, held-out depth and, by sensor, uncertainty."""
+    """Surface, held-out depth and colour and, by sensor, uncertainty."""
     found: Record = surface_scores(metrics["surface"]) if metrics.get("surface") else {}
     if views := (metrics.get("surface") or {}).get("novel_views"):
         found["depth_l1_m"] = views["l1_all_m"]
     for depth in list(metrics.get("held_out", {}).values())[:1]:  # gt where there is one, else the first sensor
         found |= {"held_out_l1_m": depth["l1_m"], "held_out_median_m": depth["median_m"]}
         found |= {"held_out_seen": depth["completeness"], "held_out_sensor": depth["sensor"]}
+    if color := metrics.get("held_out_color"):
+        found["held_out_psnr_db"] = color["psnr_db"]
     return found | {"uncertainty": {s: {n: u[n] for n in UNCERTAINTY} for s, u in metrics["uncertainty"].items()}}
 
 

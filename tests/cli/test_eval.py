@@ -2,6 +2,7 @@
 
 import json
 import time
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -30,7 +31,8 @@ def meshes(tmp_path, box_room):
 @pytest.fixture
 def run(make_box_run, box_room):
     run = make_box_run()
-    box_room.mesh(grow_m=0.01).save(run.mesh_path)
+    walls = box_room.mesh(grow_m=0.01)
+    replace(walls, colors=np.full((len(walls.vertices), 3), 90, np.uint8)).save(run.mesh_path)
     run.trajectory_path.write_bytes(run.reference_trajectory_path.read_bytes())
     run.finish_stage("map", "0", time.time(), {"held_out": [3], "sensors": ["noisy"]})
     return run
@@ -84,6 +86,7 @@ def test_run_is_scored_and_the_figures_kept(run):
         "Surface",
         "Trajectory",
         "Depth of held-out frames",
+        "Colour of held-out frames",
         "Uncertainty of noisy",
         "the camera poses were given",
     ):

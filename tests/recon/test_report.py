@@ -23,7 +23,6 @@ NASTY = '<script>alert(\'$x_1$ & "co")</script>'
 def full_run(make_box_run, box_room):
     run = make_box_run(angles=np.linspace(0, 4, 3))
     camera = run.camera
-    write_image(run.color_path("none.jpg"), np.full((camera.height, camera.width, 3), 90, np.uint8))
     for index in range(3):
         rays = camera.rays().numpy()
         facing = -rays / np.linalg.norm(rays, axis=-1, keepdims=True)

@@ -10,6 +10,7 @@ import pytest
 from uncle.recon.errors import DataError, RunError
 from uncle.recon.events import Progress
 from uncle.recon.mesh_io import Mesh
+from uncle.recon.recording import RunFrames
 from uncle.recon.run import RunDirectory
 from uncle.recon.run_metrics import EvalSettings, evaluate_run, score_surface, to_plain, write_error_mesh
 from uncle.recon.trajectory import Trajectory
@@ -23,7 +24,8 @@ def mapped_run(make_box_run, box_room) -> RunDirectory:
     """A run as the later stages leave it: walls 1 cm too far, camera 3 cm off, two frames held out."""
     run = make_box_run()
     walls = box_room.mesh(grow_m=0.01)
-    replace(walls, confidence=np.full(len(walls.vertices), 0.02, np.float32)).save(run.mesh_path)
+    colors = np.full((len(walls.vertices), 3), 90, np.uint8)
+    replace(walls, colors=colors, confidence=np.full(len(walls.vertices), 0.02, np.float32)).save(run.mesh_path)
     true = Trajectory.load(run.reference_trajectory_path)
     poses = true.T_world_camera.copy()
     poses[:, 2, 3] += 0.03
@@ -51,6 +53,29 @@ def test_held_out_frames_are_compared_with_the_ground_truth(mapped_run, box_room
     expected = np.mean([box_room.depth(T, grow_m=0.01) - box_room.depth(T) for T in poses])
     assert held_out["gt"].l1_m == pytest.approx(expected, abs=2e-4)  # depth is stored in whole millimetres
     assert (held_out["gt"].frames, held_out["gt"].completeness) == (2, 1.0)
+
+
+def test_held_out_frames_are_compared_with_their_images(mapped_run):
+    shown = [RunFrames(mapped_run).color(index).numpy() for index in (3, 7)]
+    metrics = evaluate_run(mapped_run, QUICK).held_out_color
+    expected = np.mean([-10 * np.log10(np.mean(((image - 90.0) / 255) ** 2)) for image in shown])
+    assert metrics.psnr_db == pytest.approx(expected, abs=1e-3)
+    assert (metrics.frames, metrics.completeness) == (2, 1.0)
+
+
+def test_images_that_are_gone_cost_the_colours_alone(mapped_run):
+    mapped_run.color_path("all.jpg").unlink()
+    metrics = evaluate_run(mapped_run, QUICK)
+    assert set(metrics.held_out) == {"gt"}
+    assert "all.jpg" in metrics.skipped["held_out_color"]
+
+
+def test_a_mesh_without_colours_is_said_to_have_none(mapped_run):
+    mesh = Mesh.load(mapped_run.mesh_path)
+    replace(mesh, colors=None).save(mapped_run.mesh_path)
+    metrics = evaluate_run(mapped_run, QUICK)
+    assert metrics.held_out_color is None
+    assert "no colours" in metrics.skipped["held_out_color"]
 
 
 def test_uncertainty_of_a_sensor_that_states_its_scale(mapped_run):
