@@ -48,7 +48,7 @@ def load_versioned(path: Path, called: str, what: str, format: str, version: int
     return state
 
 
-VERSION = 3  # of what states hold; to be counted up when a program can no longer continue those of the one before
+VERSION = 4  # of what states hold; to be counted up when a program can no longer continue those of the one before
 
 
 class Checkpoint:

@@ -112,9 +112,16 @@ class ColorWitness:
         told |= {"sensors": sensors, "inputs": inputs.half(), "views": torch.full((len(pixels),), view)}
         rays = self.full.rays().view(-1, 3)[pixels]
         expected = surface.along(rays, T_world_camera).cpu()
-        points = expected[:, None] * rays @ T_world_camera[:3, :3].T + T_world_camera[:3, 3]
-        told |= {"expected": expected, "points": points}
+        told |= {"expected": expected, "directions": rays @ T_world_camera[:3, :3].T}
         self.testimony = {n: torch.cat([self.testimony[n], v]) if self.testimony else v for n, v in told.items()}
+
+    def origins(self) -> Tensor:
+        """(N, 3) where each pixel of the testimony was seen from, world."""
+        return torch.stack(self.poses)[self.testimony["views"], :3, 3]
+
+    def points(self) -> Tensor:
+        """(N, 3) where the map is at each pixel of the testimony, world; at the camera where it is nowhere."""
+        return self.origins() + self.testimony["expected"][:, None] * self.testimony["directions"]
 
     def against(self, column: int, bias: SensorBias | None = None) -> Residuals:
         """How far the readings of a sensor, without its `bias`, lie beyond what colour says, which errs by its beta."""

@@ -18,6 +18,7 @@ from .grid import SparseGrid
 from .keyframes import KeyframeSelector, RayStore
 from .map_surface import MapSurface
 from .noise_features import noise_features
+from .ray_readings import RayReadings
 from .reading_weights import ReadingWeights
 from .reading_worth import UNTESTED, statements, worth_of_readings
 from .sensor_biases import SensorBiases
@@ -179,6 +180,15 @@ class Mapper:
         nominal = ReadingWeights(self.config.fusion, self.sensors)
         said = statements(self.witness, self.noise, self.bias.models, nominal, self.volume.truncation_m)
         return worth_of_readings(said, self.witness.related(), self.volume.grid.voxel_size_m, self.sensors)
+
+    def readings_along_rays(self) -> list[RayReadings]:
+        """What the sensors read, without their biases, and what colour says."""
+        said = []
+        if len(self.rays):
+            said.append(RayReadings.of_sensors(self.bias.corrected_rays(self.rays), self.noise, self.weights.worth))
+        if self.witness.testimony:
+            said.append(RayReadings.of_color(self.witness, self.device))
+        return said
 
     def known(self) -> Tensor:
         """(R,) samples that enough readings saw."""

@@ -265,8 +265,7 @@ def _refined_field(mapper: Mapper, config: MapConfig, on_event: OnEvent) -> tupl
     generator = torch.Generator().manual_seed(config.seed)
     result = NeuralField.from_fusion(mapper.volume, config.fusion.min_readings, config.field, generator)
     far_m, step_m = mapper.volume.ray_far_m, mapper.volume.ray_step_m
-    rays = mapper.bias.corrected_rays(mapper.rays)
-    losses = refine(result, rays, mapper.noise, config.field, far_m, step_m, generator, on_event)
+    losses = refine(result, mapper.readings_along_rays(), config.field, far_m, step_m, generator, on_event)
     return result, losses
 
 

@@ -73,7 +73,7 @@ def statements(
     offset[offset.abs() >= truncation_m] = torch.nan
     weight = torch.stack([*weighs, weights.of(told["beta"].float())], 1)
     seen = told["expected"] > 0
-    columns = (told["points"], told["views"], offset, weight, told["beta"].float())
+    columns = (witness.points(), told["views"], offset, weight, told["beta"].float())
     return Statements(*(values[seen].numpy() for values in columns))
 
 

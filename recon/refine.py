@@ -1,7 +1,9 @@
-"""Refinement of the neural field by its rendering likelihood, weighed by the learned uncertainty."""
+"""Refinement of the neural field by its rendering likelihood, weighed by the learned uncertainty and by what
+readings are worth."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import torch
@@ -11,11 +13,10 @@ from .adam import Adam
 from .config import FieldConfig
 from .events import OnEvent, ignore, track_progress
 from .field import NeuralField
-from .keyframes import RayStore
 from .losses import laplace_nll
+from .ray_readings import RayReadings
 from .raycast import cast_rays
 from .rendering import render_depth, render_values, sdf_weights
-from .uncertainty import START_BETA_M, NoiseModel
 
 SPAN_VOXELS = 2.5  # samples reach this far before and behind the present surface
 SHARPNESS_VOXELS = 0.4  # the bell must end within the span, or the rendered depth follows the surface only in part
@@ -32,10 +33,9 @@ class RenderedRays:
     known: Tensor
 
 
-def surface_depths(field: NeuralField, rays: RayStore, far_m: float, step_m: float) -> Tensor:
-    """(N,) z-depth at which each stored ray meets the field, metres; 0 = it does not."""
-    sdf = field.sdf_table()
-    return cast_rays(field.grid, sdf, field.known, rays["origins"], rays["directions"], far_m, step_m)
+def surface_depths(field: NeuralField, rays: RayReadings, far_m: float, step_m: float) -> Tensor:
+    """(N,) z-depth at which each ray meets the field, metres; 0 = it does not."""
+    return cast_rays(field.grid, field.sdf_table(), field.known, rays.origins, rays.directions, far_m, step_m)
 
 
 def render_rays(field: NeuralField, origins: Tensor, directions: Tensor, z: Tensor) -> RenderedRays:
@@ -52,63 +52,89 @@ def render_rays(field: NeuralField, origins: Tensor, directions: Tensor, z: Tens
 
 def refine(
     field: NeuralField,
-    rays: RayStore,
-    noise: dict[str, NoiseModel],
+    readings: Sequence[RayReadings],
     config: FieldConfig,
     far_m: float,
     step_m: float,
     generator: torch.Generator,
     on_event: OnEvent = ignore,
 ) -> list[float]:
-    """Minimise the paper's mapping loss over all keyframe rays; returns the mean negative log-likelihood a step, nats.
+    """Minimise the paper's mapping loss over rays, as many of each set of `readings` in each step; returns the mean
+    negative log-likelihood a step, nats.
 
-    sum over sensors of |D_s - D_hat| / beta_s + log(2 beta_s), plus the colour term. h_w stays as it was learned: the
-    field comes to fit its own rays, and a beta that followed those residuals would promise too much.
+    sum over sources of what a reading is worth times |D_s - D_hat| / beta_s + log(2 beta_s), plus the colour term. h_w
+    stays as it was learned: the field comes to fit its own rays, and a beta that followed those residuals would promise
+    too much.
     """
-    if config.iterations == 0 or len(rays) == 0:
-        return []
-    surface = surface_depths(field, rays, far_m, step_m)
-    usable = (surface > 0).nonzero()[:, 0]
-    if len(usable) == 0:
+    draws = [_Draw.of(field, rays, far_m, step_m) for rays in readings if config.iterations]
+    draws = [draw for draw in draws if len(draw.usable)]
+    if not draws:
         return []
     fine, coarse = Adam([field.fine]), Adam([*field.levels.parameters(), *field.decoder.parameters()])
     losses = []
     steps = range(config.iterations)
     for step in track_progress(steps, config.iterations, "refining the field", on_event, "steps"):
-        batch = usable[torch.randint(len(usable), (config.rays,), generator=generator).to(usable.device)]
-        loss, likelihood = _loss(
-            field, rays, noise, config, batch, _sample_depths(field, surface[batch], config, generator)
-        )
+        terms = [_terms(field, *draw.some(config, field.grid.voxel_size_m, generator)) for draw in draws]
+        loss, nats = _loss(field, terms, config)
         for optimizer in (fine, coarse):
             optimizer.zero_grad()
         loss.backward()
         slower = _FINAL_RATE ** (step / config.iterations)
         fine.step(config.learning_rate_sdf_m * slower)
         coarse.step(config.learning_rate * slower)
-        losses.append(float(likelihood))
+        losses.append(float(nats))
     return losses
 
 
-def _sample_depths(field: NeuralField, surface: Tensor, config: FieldConfig, generator: torch.Generator) -> Tensor:
-    """(N,) -> (N, S) stratified depths around the surface."""
-    cells = torch.arange(config.samples) + torch.rand(len(surface), config.samples, generator=generator)
-    offsets = (cells / config.samples * 2 - 1) * SPAN_VOXELS * field.grid.voxel_size_m
-    return surface[:, None] + offsets.to(surface.device)
+@dataclass(frozen=True)
+class _Draw:
+    """Rays to draw from: `usable` (U,) rows of `rays` meet the field, at the depths `surface` (N,) metres."""
+
+    rays: RayReadings
+    surface: Tensor
+    usable: Tensor
+
+    @staticmethod
+    def of(field: NeuralField, rays: RayReadings, far_m: float, step_m: float) -> _Draw:
+        surface = surface_depths(field, rays, far_m, step_m)
+        return _Draw(rays, surface, (surface > 0).nonzero()[:, 0])
+
+    def some(self, config: FieldConfig, voxel_size_m: float, generator: torch.Generator) -> tuple[RayReadings, Tensor]:
+        """`config.rays` of the rays, with stratified depths (B, S) around the surface on each."""
+        picks = torch.randint(len(self.usable), (config.rays,), generator=generator)
+        rows = self.usable[picks.to(self.usable.device)]
+        cells = torch.arange(config.samples) + torch.rand(len(rows), config.samples, generator=generator)
+        offsets = (cells / config.samples * 2 - 1) * SPAN_VOXELS * voxel_size_m
+        return self.rays.at(rows), self.surface[rows][:, None] + offsets.to(rows.device)
 
 
-def _loss(field, rays, noise, config, batch, z) -> tuple[Tensor, Tensor]:
-    rendered = render_rays(field, rays["origins"][batch], rays["directions"][batch], z)
-    depths, features = rays["depths"][batch], rays["features"][batch]
-    total, count = rendered.depth.new_zeros(()), rendered.depth.new_zeros(())
-    for column, model in enumerate(noise.values()):
-        used = rendered.known & (depths[:, column] > 0)
-        with torch.no_grad():
-            seen = features[used, column].float()
-            beta = model(seen) if seen.shape[-1] else torch.full_like(depths[used, column], START_BETA_M)
-        total = total + laplace_nll(depths[used, column] - rendered.depth[used], beta).sum()
-        count = count + used.sum()
-    likelihood = total / count.clamp(min=1)
-    color_error = (rendered.color - rays["colors"][batch].float() / 255).abs().sum(1)
-    color = (color_error * rendered.known).sum() / rendered.known.sum().clamp(min=1)
+@dataclass(frozen=True)
+class _Terms:
+    """Sums over the readings of a batch: likelihood, nats, each by what it is `worth` and as it is, and their number;
+    and the mean error of the rendered colour, 0 where nothing is said of it."""
+
+    worth_nats: Tensor
+    nats: Tensor
+    count: Tensor
+    color: Tensor
+
+
+def _terms(field: NeuralField, rays: RayReadings, z: Tensor) -> _Terms:
+    rendered = render_rays(field, rays.origins, rays.directions, z)
+    used = rendered.known[:, None] & (rays.depths > 0)
+    nats = laplace_nll((rays.depths - rendered.depth[:, None])[used], rays.betas[used])
+    worth = rays.worth.expand_as(rays.depths)[used]
+    color = nats.new_zeros(())
+    if rays.colors is not None:
+        error = (rendered.color - rays.colors.float() / 255).abs().sum(1)
+        color = (error * rendered.known).sum() / rendered.known.sum().clamp(min=1)
+    return _Terms((worth * nats).sum(), nats.detach().sum(), used.sum(), color)
+
+
+def _loss(field: NeuralField, terms: list[_Terms], config: FieldConfig) -> tuple[Tensor, Tensor]:
+    """The loss, and the mean negative log-likelihood of a reading, nats."""
+    count = sum(term.count for term in terms).clamp(min=1)
+    likelihood = sum(term.worth_nats for term in terms) / count
     prior = (field.fine[:, 0] / field.grid.voxel_size_m).square().mean()
-    return likelihood + config.color_weight * color + config.prior_weight * prior, likelihood.detach()
+    loss = likelihood + config.color_weight * sum(term.color for term in terms) + config.prior_weight * prior
+    return loss, sum(term.nats for term in terms) / count

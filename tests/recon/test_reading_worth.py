@@ -140,7 +140,6 @@ class Unbiased(Known):
 def test_statements_are_offsets_from_the_map_by_view():
     """Pixels: both read; "a" reads nothing; "b" is beyond truncation; the map shows nothing."""
     told = {
-        "points": torch.arange(12.0).view(4, 3),
         "views": torch.tensor([2, 2, 0, 0]),
         "expected": torch.tensor([2.0, 2.0, 3.0, 0.0]),
         "color": torch.tensor([2.005, 1.99, 3.0, 1.0]),
@@ -148,14 +147,15 @@ def test_statements_are_offsets_from_the_map_by_view():
         "sensors": torch.tensor([[2.02, 1.98], [0.0, 2.0], [3.03, 3.2], [1.0, 1.0]]),
         "inputs": torch.zeros(4, 2, 5).half(),
     }
-    witness = SimpleNamespace(testimony=told)
+    points = torch.arange(12.0).view(4, 3)
+    witness = SimpleNamespace(testimony=told, points=lambda: points)
     weights = ReadingWeights(FusionConfig(voxel_size_m=0.02, blur_voxels=0), ("a", "b"))
     said = statements(witness, {"a": Known(), "b": Known()}, {"a": Known(), "b": Unbiased()}, weights, 0.1)
     nan = np.nan
     offsets = [[0.01, -0.02, 0.005], [nan, 0.0, -0.01], [0.02, nan, 0.0]]
     np.testing.assert_allclose(said.offsets, offsets, atol=1e-6)
     np.testing.assert_array_equal(said.views, [2, 2, 0])
-    np.testing.assert_array_equal(said.points, told["points"][:3])
+    np.testing.assert_array_equal(said.points, points[:3])
     np.testing.assert_allclose(said.beta, [0.01, 0.02, 0.03], rtol=1e-3)
     np.testing.assert_allclose(said.weights[[0, 2], 0], 0.25, rtol=1e-4)
     np.testing.assert_allclose(said.weights[:, 1], 0.25, rtol=1e-4)

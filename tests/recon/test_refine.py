@@ -1,29 +1,29 @@
 """Refinement moves a shifted field back to where noiseless rays say the surface is."""
 
+from dataclasses import replace
+
 import pytest
 import torch
 from uncle.recon.camera import Camera
-from uncle.recon.config import FieldConfig, UncertaintyConfig
+from uncle.recon.config import FieldConfig
 from uncle.recon.events import Progress
 from uncle.recon.field import NeuralField
 from uncle.recon.fusion import FusionVolume
 from uncle.recon.grid import SparseGrid
-from uncle.recon.keyframes import RayStore
-from uncle.recon.noise_features import FEATURES
+from uncle.recon.ray_readings import RayReadings
 from uncle.recon.refine import refine, render_rays, surface_depths
-from uncle.recon.uncertainty import NoiseModel
 
 CAMERA = Camera(80, 60, 60.0, 60.0, 39.5, 29.5)
-VOXEL, SHIFT, FAR, STEP = 0.02, 0.01, 3.0, 0.06
+VOXEL, SHIFT, FAR, STEP, BETA = 0.02, 0.01, 3.0, 0.06, 0.05
 
 
 @pytest.fixture
-def scene() -> tuple[NeuralField, RayStore, torch.Tensor]:
+def scene() -> tuple[NeuralField, RayReadings, torch.Tensor]:
     """A slanted plane fused 1 cm too far away, exact rays to it, and their true depths."""
     return make_scene(FieldConfig(iterations=150, rays=512, learning_rate_sdf_m=1e-3, learning_rate=2e-3))
 
 
-def make_scene(config: FieldConfig) -> tuple[NeuralField, RayStore, torch.Tensor]:
+def make_scene(config: FieldConfig) -> tuple[NeuralField, RayReadings, torch.Tensor]:
     true = 1.0 / (1.0 - 0.3 * CAMERA.rays()[..., 0] + 0.1 * CAMERA.rays()[..., 1])
     volume = FusionVolume(SparseGrid(VOXEL), CAMERA, 4 * VOXEL, 2.5)
     color = torch.tensor([51, 102, 204], dtype=torch.uint8).expand(60, 80, 3)
@@ -31,21 +31,16 @@ def make_scene(config: FieldConfig) -> tuple[NeuralField, RayStore, torch.Tensor
     for _ in range(3):
         volume.integrate(true + SHIFT, None, color, torch.eye(4))
     field = NeuralField.from_fusion(volume, 3, config, torch.Generator().manual_seed(0))
-    store, depths = RayStore(10_000), true.reshape(-1, 1)
-    store.add(
-        {
-            "origins": torch.zeros(4800, 3), "directions": CAMERA.rays().view(-1, 3), "depths": depths,
-            "colors": color.reshape(-1, 3), "features": torch.zeros(4800, 1, len(FEATURES)).half(),
-        },
-        torch.Generator(),
+    depths = true.reshape(-1, 1)
+    rays = RayReadings(
+        torch.zeros(4800, 3), CAMERA.rays().view(-1, 3), depths, torch.full_like(depths, BETA), torch.ones(1),
+        color.reshape(-1, 3),
     )  # fmt: skip
-    return field, store, true.view(-1)
+    return field, rays, true.view(-1)
 
 
-def run(field: NeuralField, store: RayStore, on_event=lambda event: None, noise=None) -> list[float]:
-    generator = torch.Generator().manual_seed(0)
-    noise = {"a": NoiseModel(UncertaintyConfig(), generator)} if noise is None else noise
-    return refine(field, store, noise, field.config, FAR, STEP, generator, on_event)
+def run(field: NeuralField, *rays: RayReadings, on_event=lambda event: None) -> list[float]:
+    return refine(field, rays, field.config, FAR, STEP, torch.Generator().manual_seed(0), on_event)
 
 
 def inner(depth: torch.Tensor) -> torch.Tensor:
@@ -54,12 +49,12 @@ def inner(depth: torch.Tensor) -> torch.Tensor:
 
 
 def test_shifted_field_moves_back(scene):
-    field, store, true = scene
-    before = inner(surface_depths(field, store, FAR, STEP) - true)
+    field, rays, true = scene
+    before = inner(surface_depths(field, rays, FAR, STEP) - true)
     assert float(before.abs().median()) == pytest.approx(SHIFT, rel=0.1)
     events = []
-    losses = run(field, store, events.append)
-    after = inner(surface_depths(field, store, FAR, STEP) - true)
+    losses = run(field, rays, on_event=events.append)
+    after = inner(surface_depths(field, rays, FAR, STEP) - true)
     assert float(after.abs().median()) < SHIFT / 3
     assert float(after.abs().mean()) < SHIFT / 2
     assert losses[-1] < losses[0] - 0.05
@@ -69,19 +64,19 @@ def test_shifted_field_moves_back(scene):
 
 def test_free_space_keeps_its_distances(scene):
     """What refinement never looks at must not drift."""
-    field, store, _ = scene
+    field, rays, _ = scene
     far = field.known & (field.base[:, 0] > 3.5 * VOXEL)
     before = field.sdf_table()[far]
-    run(field, store)
+    run(field, rays)
     assert far.sum() > 100
     torch.testing.assert_close(field.sdf_table()[far], before)
 
 
 def test_rendered_depth_is_the_depth_of_the_surface(scene):
-    field, store, true = scene
-    surface = surface_depths(field, store, FAR, STEP)
+    field, rays, true = scene
+    surface = surface_depths(field, rays, FAR, STEP)
     z = surface[:, None] + torch.linspace(-0.06, 0.06, 25)
-    rendered = render_rays(field, store["origins"], store["directions"], z)
+    rendered = render_rays(field, rays.origins, rays.directions, z)
     error = inner(rendered.depth.detach() - true - SHIFT)
     assert float(error.abs().median()) < 7e-4
     assert float(error.abs().max()) < 5e-3
@@ -91,25 +86,60 @@ def test_rendered_depth_is_the_depth_of_the_surface(scene):
 
 
 def test_no_iterations_no_change():
-    field, store, _ = make_scene(FieldConfig(iterations=0))
+    field, rays, _ = make_scene(FieldConfig(iterations=0))
     before = field.sdf_table()
-    assert run(field, store) == []
+    assert run(field, rays) == []
     assert torch.equal(field.sdf_table(), before)
 
 
 def test_nothing_to_look_at_is_no_change():
-    field, store, _ = make_scene(FieldConfig(iterations=5))
+    field, rays, _ = make_scene(FieldConfig(iterations=5))
     before = field.sdf_table()
-    assert run(field, RayStore(10)) == []
-    store.columns["directions"] = -store["directions"]  # every ray misses
-    assert run(field, store) == []
+    assert run(field) == []
+    assert run(field, replace(rays, directions=-rays.directions)) == []  # every ray misses
     assert torch.equal(field.sdf_table(), before)
 
 
 def test_same_seed_same_field():
     tables = []
     for _ in range(2):
-        field, store, _ = make_scene(FieldConfig(iterations=10, rays=256))
-        run(field, store)
+        field, rays, _ = make_scene(FieldConfig(iterations=10, rays=256))
+        run(field, rays)
         tables.append(field.sdf_table())
     assert torch.equal(*tables)
+
+
+def disagreeing(worth: float) -> float:
+    """Metres beyond the truth where the field ends, shifted by 1 cm at first: a sensor of some worth, as noisy as
+    colour, stays where the field is, colour reads the truth."""
+    field, rays, true = make_scene(FieldConfig(iterations=150, rays=512, learning_rate_sdf_m=1e-3, learning_rate=2e-3))
+    sensor = replace(rays, depths=rays.depths + SHIFT, worth=torch.full((1,), worth))
+    color = replace(rays, colors=None)
+    run(field, sensor, color)
+    return float(inner(surface_depths(field, rays, FAR, STEP) - true).median())
+
+
+def test_sensors_are_weighed_against_colour_by_what_they_are_worth():
+    assert disagreeing(worth=0.1) < 0.3 * SHIFT
+    assert disagreeing(worth=10.0) > 0.7 * SHIFT
+
+
+def test_a_missing_reading_says_nothing(scene):
+    """A second source that never reads, and whose beta is 0 there as in any image of beta."""
+    field, rays, _ = scene
+    nothing = torch.zeros_like(rays.depths)
+    wide = replace(
+        rays, depths=torch.cat([rays.depths, nothing], 1), betas=torch.cat([rays.betas, nothing], 1),
+        worth=torch.ones(2),
+    )  # fmt: skip
+    losses = run(field, wide)
+    other, _, _ = make_scene(field.config)
+    assert losses == run(other, rays)
+    assert torch.equal(field.sdf_table(), other.sdf_table())
+
+
+def test_a_set_without_rays_that_meet_the_field_is_left_out(scene):
+    field, rays, _ = scene
+    losses = run(field, rays, replace(rays, directions=-rays.directions))
+    other, _, _ = make_scene(field.config)
+    assert losses == run(other, rays)
