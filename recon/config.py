@@ -83,7 +83,11 @@ class FieldConfig(Strict):
     learning_rate_sdf_m: float = Field(
         1e-4, gt=0, description="Step size of Adam for the offsets at the samples near the surface, metres."
     )
-    learning_rate: float = Field(2.5e-3, gt=0, description="Step size of Adam for the feature grids and the decoder.")
+    learning_rate: float = Field(
+        2.5e-3,
+        gt=0,
+        description="Step size of Adam for the feature grids and the decoder; a tenth of it without colour.",
+    )
     color_weight: float = Field(0.1, ge=0, description="Weight of the colour error beside the likelihood of depth.")
     prior_weight: float = Field(1.0, ge=0, description="Weight of the pull back to the fused distances.")
 

@@ -13,7 +13,7 @@ from torch import Tensor
 
 from .checkpoint import Checkpoint
 from .color_witness import MAX_REGISTRATION_PX
-from .config import MapConfig
+from .config import FieldConfig, MapConfig
 from .device import choose_device
 from .errors import DataError
 from .events import Note, OnEvent, Progress, ignore
@@ -28,6 +28,8 @@ from .sensor_biases import TRIAL_VIEWS
 from .tracking import GivenPoses, Tracker, require_found
 from .tracking.align import AlignTracker
 from .tracking_record import TrackingRecord
+
+SENSORS_ALONE = 0.1  # of the step size of the refinement's feature grids, where colour says nothing
 
 # (frame index, sensor, beta (H, W) metres): called once for every mapped frame with the final noise models
 OnBeta = Callable[[int, str, Tensor], None]
@@ -265,8 +267,16 @@ def _refined_field(mapper: Mapper, config: MapConfig, on_event: OnEvent) -> tupl
     generator = torch.Generator().manual_seed(config.seed)
     result = NeuralField.from_fusion(mapper.volume, config.fusion.min_readings, config.field, generator)
     far_m, step_m = mapper.volume.ray_far_m, mapper.volume.ray_step_m
-    losses = refine(result, mapper.readings_along_rays(), config.field, far_m, step_m, generator, on_event)
+    readings, steps = mapper.readings_along_rays(), _refinement_steps(mapper, config.field)
+    losses = refine(result, readings, steps, far_m, step_m, generator, on_event)
     return result, losses
+
+
+def _refinement_steps(mapper: Mapper, config: FieldConfig) -> FieldConfig:
+    """Sensors alone repeat the errors that the fused map has, or was cured of: without colour it is to move less."""
+    if mapper.witness.testimony:
+        return config
+    return config.model_copy(update={"learning_rate": SENSORS_ALONE * config.learning_rate})
 
 
 def _write_betas(frames: RunFrames, indices: list[int], mapper: Mapper, on_beta: OnBeta, on_event: OnEvent) -> None:

@@ -38,3 +38,12 @@ def test_colour_that_lies_beside_its_depth_is_no_witness(off_px, asked):
     pipeline._hear_colors(frames, mapper, Progression(last=1), events.append)
     assert bool(looked) == asked
     assert any("3 px beside its depth" in event.text for event in events) != asked
+
+
+def test_sensors_alone_move_the_field_less_than_with_colour():
+    config = make_config("uncle", ["field.learning_rate=0.01"]).field
+    said, silent = (SimpleNamespace(witness=SimpleNamespace(testimony=told)) for told in ({"color": 1}, {}))
+    assert pipeline._refinement_steps(said, config) == config
+    slower = pipeline._refinement_steps(silent, config)
+    assert slower.learning_rate == pytest.approx(0.001)
+    assert slower.model_copy(update={"learning_rate": 0.01}) == config
