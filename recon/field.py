@@ -68,12 +68,21 @@ class NeuralField(nn.Module):
 
     @classmethod
     def from_fusion(
-        cls, volume: FusionVolume, min_readings: float, config: FieldConfig, generator: torch.Generator
+        cls,
+        volume: FusionVolume,
+        min_readings: float,
+        config: FieldConfig,
+        generator: torch.Generator,
+        weight_scale_m: float | None = None,
     ) -> NeuralField:
-        """The field that equals the fused map; samples with fewer than `min_readings` are unknown to it."""
+        """The field that equals the fused map; samples with fewer than `min_readings` are unknown to it.
+
+        `weight_scale_m`: weights of the map state the noise of readings, as in `Samples.stated_sigma`.
+        """
         fused = volume.samples()
+        sigma = fused.sigma if weight_scale_m is None else fused.stated_sigma(weight_scale_m)
         base = torch.cat([fused.sdf[:, None], fused.colors], 1)
-        return cls(volume.grid, base, fused.sigma, volume.counts() >= min_readings, config, generator)
+        return cls(volume.grid, base, sigma, volume.counts() >= min_readings, config, generator)
 
     def forward(self, points: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         """(N, 3) world points -> sdf (N,) metres, rgb (N, 3), known (N,) bool; sdf and rgb are 0 where unknown."""

@@ -20,6 +20,7 @@ _TILE = 16  # pixels: occlusion is decided on tiles
 _SPARE = 1.5
 SHARED_ERROR = 0.15
 MIN_SIGMA_M = 1e-3
+MAX_SIGMA_M = 1.0  # of what is hardly known: a corner that weighs nothing must not decide over a vertex
 ALL = slice(None)
 
 
@@ -68,6 +69,16 @@ class Samples:
         """
         gain = SHARED_ERROR + (1 - SHARED_ERROR) / self.sums[..., 3].clamp(min=1)
         return (self.spread.square() * gain).sqrt().clamp(min=MIN_SIGMA_M)
+
+    def stated_sigma(self, weight_scale_m: float) -> Tensor:
+        """(...) standard error of the mean distance, metres, where weights are (`weight_scale_m` / beta)^2 times what a
+        reading is worth.
+
+        A Laplace law has the variance 2 beta^2; the mean of what is independent has that over the sum of the weights.
+        What readings of one place share, a part of their spread, stays however many there are.
+        """
+        independent = 2 * weight_scale_m**2 / self.sums[..., 0].clamp(min=1e-12)
+        return (independent + SHARED_ERROR * self.spread.square()).sqrt().clamp(MIN_SIGMA_M, MAX_SIGMA_M)
 
     @property
     def colors(self) -> Tensor:

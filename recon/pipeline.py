@@ -22,6 +22,7 @@ from .frame import Frame
 from .mapper import Mapper
 from .noise_prior import NoisePrior
 from .progression import Progression
+from .reading_weights import WEIGHT_SCALE_M
 from .recording import RunFrames
 from .refine import refine
 from .sensor_biases import TRIAL_VIEWS
@@ -265,7 +266,8 @@ def _hear_colors(frames: RunFrames, mapper: Mapper, progress: Progression, on_ev
 
 def _refined_field(mapper: Mapper, config: MapConfig, on_event: OnEvent) -> tuple[NeuralField, list[float]]:
     generator = torch.Generator().manual_seed(config.seed)
-    result = NeuralField.from_fusion(mapper.volume, config.fusion.min_readings, config.field, generator)
+    stated = WEIGHT_SCALE_M if config.uncertainty.enabled else None
+    result = NeuralField.from_fusion(mapper.volume, config.fusion.min_readings, config.field, generator, stated)
     far_m, step_m = mapper.volume.ray_far_m, mapper.volume.ray_step_m
     readings, steps = mapper.readings_along_rays(), _refinement_steps(mapper, config.field)
     losses = refine(result, readings, steps, far_m, step_m, generator, on_event)

@@ -47,6 +47,13 @@ def probes(field: NeuralField, count: int = 3000) -> torch.Tensor:
     return positions[rows] + (torch.rand(count, 3, generator=generator) - 0.5) * VOXEL
 
 
+def test_confidence_is_stated_by_the_weights_where_they_mean_something(volume):
+    plain, stated = make_field(volume), NeuralField.from_fusion(volume, 2, FieldConfig(), torch.Generator(), 0.03)
+    assert torch.equal(plain.sigma, volume.samples().sigma)
+    assert torch.equal(stated.sigma, volume.samples().stated_sigma(0.03))
+    assert not torch.equal(plain.sigma, stated.sigma)
+
+
 def test_starts_as_the_fused_map(volume):
     field = make_field(volume)
     points = probes(field)

@@ -6,7 +6,7 @@ import numpy as np
 import torch
 from uncle.recon.camera import Camera
 from uncle.recon.config import make_config
-from uncle.recon.fusion import MIN_SIGMA_M, SHARED_ERROR, FreeSpace, FusionVolume
+from uncle.recon.fusion import MAX_SIGMA_M, MIN_SIGMA_M, SHARED_ERROR, FreeSpace, FusionVolume
 from uncle.recon.grid import ROWS, SparseGrid
 from uncle.recon.mapper import Mapper
 from uncle.recon.recording import RunFrames
@@ -73,6 +73,27 @@ def test_weighted_mean_spread_count_and_sigma():
     sigma = spread * (SHARED_ERROR + (1 - SHARED_ERROR) / 2) ** 0.5
     torch.testing.assert_close(volume.samples().sigma[both], torch.full_like(z[both], sigma), atol=1e-4, rtol=0)
     assert volume.samples().sigma.min() >= MIN_SIGMA_M * 0.999
+
+
+def test_stated_sigma_is_that_of_independent_readings_and_what_they_share():
+    volume = fused((2.0, 3.0), (2.1, 1.0))
+    z = positions(volume)[:, 2]
+    both = (volume.counts() == 2) & ((z - 2.05).abs() < 0.04)
+    sigma = (2 * 0.02**2 / 4.0 + SHARED_ERROR * 0.1**2 * 0.75 * 0.25) ** 0.5
+    found = volume.samples().stated_sigma(0.02)
+    torch.testing.assert_close(found[both], torch.full_like(z[both], sigma), atol=1e-4, rtol=0)
+    assert (found[volume.counts() == 0] == MAX_SIGMA_M).all()
+    assert (volume.counts() == 0).any()
+
+
+def test_readings_that_agree_leave_what_they_are_said_to_err():
+    """A sensor that repeats its error has no spread; 8 readings of beta 4 cm are still only good to 2 cm."""
+    volume = fused(*[(2.0, (0.01 / 0.04) ** 2)] * 8)
+    near = (volume.counts() == 8) & ((positions(volume)[:, 2] - 2.0).abs() < 0.04)
+    assert near.any()
+    expected = torch.full((int(near.sum()),), 0.02)
+    torch.testing.assert_close(volume.samples().stated_sigma(0.01)[near], expected, atol=1e-4, rtol=0)
+    assert (volume.samples().sigma[near] < 0.002).all()
 
 
 def test_free_space_weight_is_the_geometric_mean():
