@@ -73,7 +73,7 @@ class FieldConfig(Strict):
     iterations: int = Field(
         200, ge=0, description="Steps of the refinement by rendering; 0: the field is the fused map."
     )
-    rays: int = Field(2048, ge=64, description="Rays rendered in each step.")
+    rays: int = Field(2048, ge=64, description="Rays rendered in each step, half of them of colour where it is heard.")
     samples: int = Field(8, ge=4, description="Samples on each ray, around the present surface.")
     levels: tuple[Annotated[int, Field(ge=1, le=64)], ...] = Field(
         (4, 12), description="Cell sizes of the coarser feature grids, 1 to 64 voxels each."

@@ -33,9 +33,9 @@ class RenderedRays:
     known: Tensor
 
 
-def surface_depths(field: NeuralField, rays: RayReadings, far_m: float, step_m: float) -> Tensor:
-    """(N,) z-depth at which each ray meets the field, metres; 0 = it does not."""
-    return cast_rays(field.grid, field.sdf_table(), field.known, rays.origins, rays.directions, far_m, step_m)
+def surface_depths(field: NeuralField, sdf: Tensor, rays: RayReadings, far_m: float, step_m: float) -> Tensor:
+    """(N,) z-depth at which each ray meets the field, of which `sdf` is the table, metres; 0 = it does not."""
+    return cast_rays(field.grid, sdf, field.known, rays.origins, rays.directions, far_m, step_m)
 
 
 def render_rays(field: NeuralField, origins: Tensor, directions: Tensor, z: Tensor) -> RenderedRays:
@@ -59,22 +59,26 @@ def refine(
     generator: torch.Generator,
     on_event: OnEvent = ignore,
 ) -> list[float]:
-    """Minimise the paper's mapping loss over rays, as many of each set of `readings` in each step; returns the mean
-    negative log-likelihood a step, nats.
+    """Minimise the paper's mapping loss over `config.rays` rays in each step, as many of each set of `readings`;
+    returns the mean negative log-likelihood a step, nats.
 
     sum over sources of what a reading is worth times |D_s - D_hat| / beta_s + log(2 beta_s), plus the colour term. h_w
     stays as it was learned: the field comes to fit its own rays, and a beta that followed those residuals would promise
     too much.
     """
-    draws = [_Draw.of(field, rays, far_m, step_m) for rays in readings if config.iterations]
-    draws = [draw for draw in draws if len(draw.usable)]
+    if config.iterations == 0 or not readings:
+        return []
+    sdf = field.sdf_table()
+    drawn = [_Draw.of(rays, surface_depths(field, sdf, rays, far_m, step_m)) for rays in readings]
+    draws = [draw for draw in drawn if len(draw.usable)]
     if not draws:
         return []
     fine, coarse = Adam([field.fine]), Adam([*field.levels.parameters(), *field.decoder.parameters()])
-    losses = []
+    losses, share = [], config.rays // len(draws)
     steps = range(config.iterations)
     for step in track_progress(steps, config.iterations, "refining the field", on_event, "steps"):
-        terms = [_terms(field, *draw.some(config, field.grid.voxel_size_m, generator)) for draw in draws]
+        batches = [draw.some(share, config.samples, field.grid.voxel_size_m, generator) for draw in draws]
+        terms = [_terms(field, *batch) for batch in batches]
         loss, nats = _loss(field, terms, config)
         for optimizer in (fine, coarse):
             optimizer.zero_grad()
@@ -95,16 +99,17 @@ class _Draw:
     usable: Tensor
 
     @staticmethod
-    def of(field: NeuralField, rays: RayReadings, far_m: float, step_m: float) -> _Draw:
-        surface = surface_depths(field, rays, far_m, step_m)
+    def of(rays: RayReadings, surface: Tensor) -> _Draw:
         return _Draw(rays, surface, (surface > 0).nonzero()[:, 0])
 
-    def some(self, config: FieldConfig, voxel_size_m: float, generator: torch.Generator) -> tuple[RayReadings, Tensor]:
-        """`config.rays` of the rays, with stratified depths (B, S) around the surface on each."""
-        picks = torch.randint(len(self.usable), (config.rays,), generator=generator)
+    def some(
+        self, count: int, samples: int, voxel_size_m: float, generator: torch.Generator
+    ) -> tuple[RayReadings, Tensor]:
+        """`count` of the rays, and on each `samples` stratified depths (count, samples) around the surface."""
+        picks = torch.randint(len(self.usable), (count,), generator=generator)
         rows = self.usable[picks.to(self.usable.device)]
-        cells = torch.arange(config.samples) + torch.rand(len(rows), config.samples, generator=generator)
-        offsets = (cells / config.samples * 2 - 1) * SPAN_VOXELS * voxel_size_m
+        cells = torch.arange(samples) + torch.rand(count, samples, generator=generator)
+        offsets = (cells / samples * 2 - 1) * SPAN_VOXELS * voxel_size_m
         return self.rays.at(rows), self.surface[rows][:, None] + offsets.to(rows.device)
 
 

@@ -43,6 +43,11 @@ def run(field: NeuralField, *rays: RayReadings, on_event=lambda event: None) -> 
     return refine(field, rays, field.config, FAR, STEP, torch.Generator().manual_seed(0), on_event)
 
 
+def met(field: NeuralField, rays: RayReadings) -> torch.Tensor:
+    """(N,) depths at which the rays meet the field."""
+    return surface_depths(field, field.sdf_table(), rays, FAR, STEP)
+
+
 def inner(depth: torch.Tensor) -> torch.Tensor:
     """Without the border of the image, where rays leave what is known."""
     return depth.view(60, 80)[8:-8, 8:-8]
@@ -50,11 +55,11 @@ def inner(depth: torch.Tensor) -> torch.Tensor:
 
 def test_shifted_field_moves_back(scene):
     field, rays, true = scene
-    before = inner(surface_depths(field, rays, FAR, STEP) - true)
+    before = inner(met(field, rays) - true)
     assert float(before.abs().median()) == pytest.approx(SHIFT, rel=0.1)
     events = []
     losses = run(field, rays, on_event=events.append)
-    after = inner(surface_depths(field, rays, FAR, STEP) - true)
+    after = inner(met(field, rays) - true)
     assert float(after.abs().median()) < SHIFT / 3
     assert float(after.abs().mean()) < SHIFT / 2
     assert losses[-1] < losses[0] - 0.05
@@ -74,7 +79,7 @@ def test_free_space_keeps_its_distances(scene):
 
 def test_rendered_depth_is_the_depth_of_the_surface(scene):
     field, rays, true = scene
-    surface = surface_depths(field, rays, FAR, STEP)
+    surface = met(field, rays)
     z = surface[:, None] + torch.linspace(-0.06, 0.06, 25)
     rendered = render_rays(field, rays.origins, rays.directions, z)
     error = inner(rendered.depth.detach() - true - SHIFT)
@@ -116,7 +121,7 @@ def disagreeing(worth: float) -> float:
     sensor = replace(rays, depths=rays.depths + SHIFT, worth=torch.full((1,), worth))
     color = replace(rays, colors=None)
     run(field, sensor, color)
-    return float(inner(surface_depths(field, rays, FAR, STEP) - true).median())
+    return float(inner(met(field, rays) - true).median())
 
 
 def test_sensors_are_weighed_against_colour_by_what_they_are_worth():
