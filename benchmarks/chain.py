@@ -24,6 +24,7 @@ SCENE_COLUMNS = (
     ("P 5 cm %", "precision_5cm", 100, 2, False), ("R 5 cm %", "recall_5cm", 100, 2, False),
     ("accuracy cm", "accuracy_mean_m", 100, 2, False), ("held-out L1 cm", "held_out_l1_m", 100, 2, True),
     ("held-out median cm", "held_out_median_m", 100, 2, False), ("held-out seen %", "held_out_seen", 100, 2, False),
+    ("held-out PSNR dB", "held_out_psnr_db", 1, 2, False),
     ("map s", "wall_s", 1, 1, False), ("peak MB", "peak_memory_mb", 1, 0, False),
 )  # fmt: skip
 SENSOR_COLUMNS = (

@@ -71,7 +71,7 @@ def command(
     """Score MESH against the ground-truth mesh GT, or without them everything that a run holds.
 
     TRAJECTORY and GT may also be two files of TUM text (.txt). A run is scored on its mesh (only what the cameras
-    saw), its trajectory and what the tracker says of it, the depth of frames held out of the map, and its
+    saw), its trajectory and what the tracker says of it, depth and colour of frames held out of the map, and its
     uncertainty, each where the data set has the truth; the figures also go to RUN/metrics.json.
     """
     if mesh is not None and gt is None:

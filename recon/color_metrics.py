@@ -12,6 +12,7 @@ from .errors import DataError
 from .mesh_io import Mesh
 from .surface import Surface
 
+UNSEEN = 128  # grey: what vertices have of which no colour was seen
 MIN_SQUARE = 1 / (12 * 255**2)  # of what rounding to whole numbers leaves
 
 
@@ -33,9 +34,10 @@ class HeldOutColor:
 def held_out_color(mesh: Mesh, camera: Camera, frames: Iterable[tuple[np.ndarray, np.ndarray]]) -> HeldOutColor:
     """Colour of `mesh` seen at the poses of `frames`, without light or shade, against what they show.
 
-    `frames` yields T_world_camera (4, 4) and color (H, W, 3) uint8. Raises DataError if the mesh has no colours.
+    `frames` yields T_world_camera (4, 4) and color (H, W, 3) uint8. Raises DataError if the mesh has no colours,
+    or that of a map without any.
     """
-    if mesh.colors is None:
+    if mesh.colors is None or (mesh.colors == UNSEEN).all():
         raise DataError("the mesh has no colours")
     surface, painted = Surface(mesh), mesh.colors.astype(np.float32) / 255
     squares, absolutes, shares = [], [], []

@@ -71,8 +71,8 @@ class Samples:
         return (self.spread.square() * gain).sqrt().clamp(min=MIN_SIGMA_M)
 
     def stated_sigma(self, weight_scale_m: float) -> Tensor:
-        """(...) standard error of the mean distance, metres, where weights are (`weight_scale_m` / beta)^2 times what a
-        reading is worth.
+        """(...) standard error of the mean distance, metres, where weights are `weight_scale_m`^2 over the beta^2 of a
+        reading and what a voxel blurs, times what it is worth (`ReadingWeights`).
 
         A Laplace law has the variance 2 beta^2; the mean of what is independent has that over the sum of the weights.
         What readings of one place share, a part of their spread, stays however many there are.

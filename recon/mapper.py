@@ -182,7 +182,11 @@ class Mapper:
         return worth_of_readings(said, self.witness.related(), self.volume.grid.voxel_size_m, self.sensors)
 
     def readings_along_rays(self) -> list[RayReadings]:
-        """What the sensors read, without their biases, and what colour says."""
+        """What the sensors read, without their biases, and what colour says.
+
+        Betas are those of the finished map, of readings as they come: larger than what is left once a bias is off, and
+        so is the say of colour about a sensor that had one.
+        """
         said = []
         if len(self.rays):
             said.append(RayReadings.of_sensors(self.bias.corrected_rays(self.rays), self.noise, self.weights.worth))

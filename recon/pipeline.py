@@ -269,12 +269,12 @@ def _refined_field(mapper: Mapper, config: MapConfig, on_event: OnEvent) -> tupl
     stated = WEIGHT_SCALE_M if config.uncertainty.enabled else None
     result = NeuralField.from_fusion(mapper.volume, config.fusion.min_readings, config.field, generator, stated)
     far_m, step_m = mapper.volume.ray_far_m, mapper.volume.ray_step_m
-    readings, steps = mapper.readings_along_rays(), _refinement_steps(mapper, config.field)
-    losses = refine(result, readings, steps, far_m, step_m, generator, on_event)
+    readings = mapper.readings_along_rays() if config.field.iterations else []
+    losses = refine(result, readings, _field_settings(mapper, config.field), far_m, step_m, generator, on_event)
     return result, losses
 
 
-def _refinement_steps(mapper: Mapper, config: FieldConfig) -> FieldConfig:
+def _field_settings(mapper: Mapper, config: FieldConfig) -> FieldConfig:
     """Sensors alone repeat the errors that the fused map has, or was cured of: without colour it is to move less."""
     if mapper.witness.testimony:
         return config

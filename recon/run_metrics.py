@@ -125,10 +125,12 @@ def evaluate_run(run: RunDirectory, settings: EvalSettings | None = None, on_eve
     surface = _attempt("mesh", skipped, lambda: _score_run_mesh(run, manifest, settings))
     trajectory = _attempt("trajectory", skipped, lambda: score_trajectory(run))
     tracking = _attempt("tracking", skipped, lambda: score_tracking(run))
-    held_out = _attempt("held_out", skipped, lambda: _score_held_out(run, manifest, frames, on_event)) or {}
-    colors = None
-    if held_out:
-        colors = _attempt("held_out_color", skipped, lambda: _score_held_out_color(run, manifest, frames, on_event))
+    held_out, colors = {}, None
+    if indices := _attempt("held_out", skipped, lambda: _held_out_indices(manifest, frames)):
+        held_out = (
+            _attempt("held_out", skipped, lambda: _score_held_out(run, manifest, frames, indices, on_event)) or {}
+        )
+        colors = _attempt("held_out_color", skipped, lambda: _score_held_out_color(run, frames, indices, on_event))
     uncertainty = {}
     for sensor in _sensors_with_beta(run, manifest, skipped):
         scored = _attempt(
@@ -136,7 +138,7 @@ def evaluate_run(run: RunDirectory, settings: EvalSettings | None = None, on_eve
         )
         if scored is not None:
             uncertainty[sensor] = scored
-    if not (surface or trajectory or tracking or held_out or uncertainty):
+    if not (surface or trajectory or tracking or held_out or colors or uncertainty):
         reasons = "; ".join(f"{part}: {reason}" for part, reason in skipped.items())
         raise RunError(f"nothing in {run.root} can be scored ({reasons})")
     if surface is not None:
@@ -201,10 +203,9 @@ def _run_mesh(run: RunDirectory) -> Mesh:
 
 
 def _score_held_out(
-    run: RunDirectory, manifest: Manifest, frames: RunFrames, on_event: OnEvent
+    run: RunDirectory, manifest: Manifest, frames: RunFrames, indices: list[int], on_event: OnEvent
 ) -> dict[str, HeldOutDepth]:
     """By sensor; the ground truth alone where the run has it."""
-    indices = _held_out_indices(manifest, frames)
     mesh = _run_mesh(run)
     true = GROUND_TRUTH_SENSOR in manifest.sensors
     mapped = manifest.stages["map"].facts.get("sensors") or manifest.sensors
@@ -217,8 +218,9 @@ def _score_held_out(
     return {sensor: held_out_depth(mesh, frames.camera, views(sensor), sensor) for sensor in sensors}
 
 
-def _score_held_out_color(run: RunDirectory, manifest: Manifest, frames: RunFrames, on_event: OnEvent) -> HeldOutColor:
-    indices = _held_out_indices(manifest, frames)
+def _score_held_out_color(
+    run: RunDirectory, frames: RunFrames, indices: list[int], on_event: OnEvent
+) -> HeldOutColor:  # fmt: skip
     shown = track_progress(indices, len(indices), "held-out colour", on_event)
     return held_out_color(_run_mesh(run), frames.camera, ((frames.pose(i), frames.color(i).numpy()) for i in shown))
 

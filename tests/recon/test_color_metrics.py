@@ -63,3 +63,5 @@ def test_what_the_mesh_lacks_is_stated(box_room):
 def test_a_mesh_without_colours(box_room):
     with pytest.raises(DataError, match="colours"):
         held_out_color(box_room.mesh(), box_room.camera, [])
+    with pytest.raises(DataError, match="colours"):  # what is written where no colour was seen
+        held_out_color(painted(box_room.mesh(), np.array([128, 128, 128])), box_room.camera, [])

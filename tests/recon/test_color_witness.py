@@ -13,9 +13,11 @@ from uncle.recon.config import ColorConfig, UncertaintyConfig, make_config
 from uncle.recon.events import Progress
 from uncle.recon.frame import Frame
 from uncle.recon.mapper import Mapper
+from uncle.recon.ray_readings import RayReadings
 from uncle.recon.reading_worth import UNTESTED
 from uncle.recon.recording import RunFrames
 from uncle.recon.sensor_bias import CONFIRMED, REFUTED, BiasTrial, SensorBias
+from uncle.recon.surface import Surface
 
 STEPS = UncertaintyConfig(steps_per_sweep=150, learning_rate=0.01)
 VOXEL_M = 0.05
@@ -264,6 +266,25 @@ def off_by(room, mapper: Mapper, walk) -> float:
     return float(np.median(np.concatenate(misses)))
 
 
+def check_rays_of_the_refinement(room, with_colors: Mapper, without: Mapper) -> None:
+    """Sensors without the bias that colour found, as far as they are worth, and colour itself; else sensors as read."""
+    sensors, color = with_colors.readings_along_rays()
+    assert sensors.worth.tolist() == pytest.approx([UNTESTED])
+    assert color.worth.tolist() == [1.0]
+    assert abs(beyond_walls(room, sensors)) < 0.012
+    assert abs(beyond_walls(room, color)) < 0.006
+    (alone,) = without.readings_along_rays()
+    assert alone.worth.tolist() == [1.0]
+    assert beyond_walls(room, alone) == pytest.approx(0.04, abs=1e-3)
+
+
+def beyond_walls(room, rays: RayReadings) -> float:
+    """Median share of the depth by which readings of the first source lie beyond the walls along their rays."""
+    read = (rays.depths[:, 0] > 0).numpy()
+    met = Surface(room.mesh()).cast(rays.origins.numpy()[read], rays.directions.numpy()[read])
+    return float(np.median(rays.depths[:, 0].numpy()[read] / met - 1))
+
+
 def test_the_map_overcomes_a_bias_that_its_only_sensor_always_has(box_room, walk, tmp_path):
     with_colors = reconstructed(box_room, walk, tmp_path / "a")
     without = reconstructed(box_room, walk, tmp_path / "b", "color.enabled=false")
@@ -279,6 +300,7 @@ def test_the_map_overcomes_a_bias_that_its_only_sensor_always_has(box_room, walk
     assert with_colors.mapper.weights.worth == {"stereo": UNTESTED}  # all views have an image in common
     assert not without.mapper.bias.confirmed
     assert without.mapper.weights.worth == {"stereo": 1.0}
+    check_rays_of_the_refinement(box_room, with_colors.mapper, without.mapper)
     assert not without.mapper.bias.models["stereo"].believed
 
 

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import pytest
 import torch
+from uncle.recon import refine as refinement
 from uncle.recon.camera import Camera
 from uncle.recon.config import FieldConfig
 from uncle.recon.events import Progress
@@ -127,6 +128,17 @@ def disagreeing(worth: float) -> float:
 def test_sensors_are_weighed_against_colour_by_what_they_are_worth():
     assert disagreeing(worth=0.1) < 0.3 * SHIFT
     assert disagreeing(worth=10.0) > 0.7 * SHIFT
+
+
+def test_a_step_has_as_many_rays_with_one_set_as_with_two(scene, monkeypatch):
+    field, rays, _ = scene
+    rendered = []
+    render = refinement.render_rays
+    monkeypatch.setattr(refinement, "render_rays", lambda *args: rendered.append(len(args[1])) or render(*args))
+    field.config = field.config.model_copy(update={"iterations": 2})
+    run(field, rays)
+    run(field, rays, replace(rays, colors=None))
+    assert rendered == [512, 512, 256, 256, 256, 256]
 
 
 def test_a_missing_reading_says_nothing(scene):

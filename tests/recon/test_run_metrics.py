@@ -70,6 +70,14 @@ def test_images_that_are_gone_cost_the_colours_alone(mapped_run):
     assert "all.jpg" in metrics.skipped["held_out_color"]
 
 
+def test_depth_that_is_gone_costs_the_depth_alone(mapped_run):
+    mapped_run.depth_path("gt", 3).unlink()
+    metrics = evaluate_run(mapped_run, QUICK)
+    assert metrics.held_out == {}
+    assert metrics.held_out_color.frames == 2
+    assert metrics.skipped["held_out"]
+
+
 def test_a_mesh_without_colours_is_said_to_have_none(mapped_run):
     mesh = Mesh.load(mapped_run.mesh_path)
     replace(mesh, colors=None).save(mapped_run.mesh_path)

@@ -10,10 +10,13 @@ def test_scores_are_taken_by_threshold_and_sensor():
     mesh = {"scores": [score, {**score, "threshold_m": 0.02, "f_score": 0.6}]}
     mesh |= {"accuracy_mean_m": 0.01, "completeness_mean_m": 0.03}
     surface = {"mesh": mesh, "novel_views": {"l1_all_m": 0.04}}
-    found = scores({"surface": surface, "held_out": {"depth": depth}, "uncertainty": {"sl": uncertainty}})
+    color = {"psnr_db": 25.0, "l1": 0.03, "completeness": 0.9, "frames": 3}
+    held_out = {"held_out": {"depth": depth}, "held_out_color": color}
+    found = scores({"surface": surface, **held_out, "uncertainty": {"sl": uncertainty}})
     assert (found["f_score_5cm"], found["f_score_2cm"], found["recall_5cm"]) == (0.9, 0.6, 0.7)
     assert (found["accuracy_mean_m"], found["completeness_mean_m"], found["depth_l1_m"]) == (0.01, 0.03, 0.04)
     assert (found["held_out_l1_m"], found["held_out_seen"]) == (0.02, 0.99)
+    assert found["held_out_psnr_db"] == 25.0
     assert found["uncertainty"] == {"sl": dict.fromkeys(UNCERTAINTY, 0.5)}
 
 
