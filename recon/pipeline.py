@@ -13,7 +13,7 @@ from torch import Tensor
 
 from .checkpoint import Checkpoint
 from .color_witness import MAX_REGISTRATION_PX
-from .config import FieldConfig, MapConfig
+from .config import MapConfig
 from .device import choose_device
 from .errors import DataError
 from .events import Note, OnEvent, Progress, ignore
@@ -22,15 +22,12 @@ from .frame import Frame
 from .mapper import Mapper
 from .noise_prior import NoisePrior
 from .progression import Progression
-from .reading_weights import WEIGHT_SCALE_M
 from .recording import RunFrames
-from .refine import refine
+from .refined_field import refined_field
 from .sensor_biases import TRIAL_VIEWS
 from .tracking import GivenPoses, Tracker, require_found
 from .tracking.align import AlignTracker
 from .tracking_record import TrackingRecord
-
-SENSORS_ALONE = 0.1  # of the step size of the refinement's feature grids, where colour says nothing
 
 # (frame index, sensor, beta (H, W) metres): called once for every mapped frame with the final noise models
 OnBeta = Callable[[int, str, Tensor], None]
@@ -102,7 +99,7 @@ def reconstruct(
         if checkpoint.due() or sweep == progress.last:  # what follows writes much, and the disk may be full
             _save(checkpoint, mapper, tracker, progress)
     with progress.timed("refining"):
-        result, losses = _refined_field(mapper, config, on_event)
+        result, losses = refined_field(mapper, config, on_event)
     with progress.timed("beta maps"):
         _write_betas(frames, sorted(progress.poses), mapper, on_beta, on_event)
     poses = {index: np.array(matrix) for index, matrix in progress.poses.items()}
@@ -262,23 +259,6 @@ def _hear_colors(frames: RunFrames, mapper: Mapper, progress: Progression, on_ev
     if mapper.witness.wants_another_look():  # after the next sweep, and one more that hears what it then says
         progress.last = max(progress.last, progress.sweep + 2)
     return True
-
-
-def _refined_field(mapper: Mapper, config: MapConfig, on_event: OnEvent) -> tuple[NeuralField, list[float]]:
-    generator = torch.Generator().manual_seed(config.seed)
-    stated = WEIGHT_SCALE_M if config.uncertainty.enabled else None
-    result = NeuralField.from_fusion(mapper.volume, config.fusion.min_readings, config.field, generator, stated)
-    far_m, step_m = mapper.volume.ray_far_m, mapper.volume.ray_step_m
-    readings = mapper.readings_along_rays() if config.field.iterations else []
-    losses = refine(result, readings, _field_settings(mapper, config.field), far_m, step_m, generator, on_event)
-    return result, losses
-
-
-def _field_settings(mapper: Mapper, config: FieldConfig) -> FieldConfig:
-    """Sensors alone repeat the errors that the fused map has, or was cured of: without colour it is to move less."""
-    if mapper.witness.testimony:
-        return config
-    return config.model_copy(update={"learning_rate": SENSORS_ALONE * config.learning_rate})
 
 
 def _write_betas(frames: RunFrames, indices: list[int], mapper: Mapper, on_beta: OnBeta, on_event: OnEvent) -> None:
