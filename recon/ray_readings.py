@@ -46,9 +46,7 @@ class RayReadings:
             _betas(model, depths[:, column], rays["features"][:, column]) for column, model in enumerate(noise.values())
         ]
         counts = depths.new_tensor([worth[sensor] for sensor in noise])
-        return RayReadings(
-            rays["origins"], rays["directions"], depths, torch.stack(betas, 1), counts, rays["colors"]
-        )  # fmt: skip
+        return RayReadings(rays["origins"], rays["directions"], depths, torch.stack(betas, 1), counts, rays["colors"])
 
     @staticmethod
     def of_color(witness: ColorWitness, device: torch.device) -> RayReadings:

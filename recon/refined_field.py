@@ -14,9 +14,7 @@ from .refine import refine
 SENSORS_ALONE = 0.1  # of the step size of the feature grids, where colour says nothing
 
 
-def refined_field(
-    mapper: Mapper, config: MapConfig, on_event: OnEvent = ignore
-) -> tuple[NeuralField, list[float]]:  # fmt: skip
+def refined_field(mapper: Mapper, config: MapConfig, on_event: OnEvent = ignore) -> tuple[NeuralField, list[float]]:
     """The field, and the mean negative log-likelihood of each step of its refinement, nats."""
     generator = torch.Generator().manual_seed(config.seed)
     stated = WEIGHT_SCALE_M if config.uncertainty.enabled else None

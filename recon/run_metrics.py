@@ -218,9 +218,7 @@ def _score_held_out(
     return {sensor: held_out_depth(mesh, frames.camera, views(sensor), sensor) for sensor in sensors}
 
 
-def _score_held_out_color(
-    run: RunDirectory, frames: RunFrames, indices: list[int], on_event: OnEvent
-) -> HeldOutColor:  # fmt: skip
+def _score_held_out_color(run: RunDirectory, frames: RunFrames, indices: list[int], on_event: OnEvent) -> HeldOutColor:
     shown = track_progress(indices, len(indices), "held-out colour", on_event)
     return held_out_color(_run_mesh(run), frames.camera, ((frames.pose(i), frames.color(i).numpy()) for i in shown))
 

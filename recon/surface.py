@@ -36,8 +36,7 @@ class Surface:
         """
         if self._is_empty:
             return np.zeros(directions.shape[:-1], dtype=np.float32)
-        rays = np.concatenate([np.broadcast_to(origins, directions.shape), directions], axis=-1).astype(np.float32)
-        hit = self._scene.cast_rays(rays)["t_hit"].numpy()
+        hit = self._first_hits(origins, directions)["t_hit"].numpy()
         return np.where(np.isfinite(hit), hit, 0.0).astype(np.float32)
 
     def triangles(self, camera: Camera, T_world_camera: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -46,8 +45,7 @@ class Surface:
         directions = camera.rays().numpy() @ T_world_camera[:3, :3].T.astype(np.float32)
         if self._is_empty:
             return np.full(directions.shape[:2], -1), np.zeros_like(directions)
-        origins = np.broadcast_to(T_world_camera[:3, 3].astype(np.float32), directions.shape)
-        answer = self._scene.cast_rays(np.concatenate([origins, directions], axis=-1))
+        answer = self._first_hits(T_world_camera[:3, 3], directions)
         hit, uv = np.isfinite(answer["t_hit"].numpy()), answer["primitive_uvs"].numpy()
         weights = np.stack([1 - uv[..., 0] - uv[..., 1], uv[..., 0], uv[..., 1]], axis=-1)
         return np.where(hit, answer["primitive_ids"].numpy().astype(np.int64), -1), weights
@@ -56,6 +54,11 @@ class Surface:
         """(H, W) float32 z-depth in metres seen from `T_world_camera` (4, 4), 0 where no surface is."""
         directions = camera.rays().numpy() @ T_world_camera[:3, :3].T
         return self.cast(T_world_camera[:3, 3], directions)
+
+    def _first_hits(self, origins: np.ndarray, directions: np.ndarray) -> dict:
+        """Open3D's answer to the rays (..., 3), of a mesh that is not empty."""
+        rays = np.concatenate([np.broadcast_to(origins, directions.shape), directions], axis=-1).astype(np.float32)
+        return self._scene.cast_rays(rays)
 
 
 def sample_surface(mesh: Mesh, count: int, rng: np.random.Generator) -> np.ndarray:
