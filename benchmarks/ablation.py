@@ -19,7 +19,7 @@ from uncle.recon.bench.statistics import Metric
 from uncle.recon.bench.tables import cell, markdown_table, number
 from uncle.recon.bench.variants import GROUPS, METHOD_OF, Settings, choose_variants
 from uncle.recon.bench.variants import UNWEIGHTED as BASELINE
-from uncle.recon.errors import RunError, UncleError
+from uncle.recon.core.errors import RunError, UncleError
 
 OWN_GROUPS = [group for group in GROUPS if group not in METHOD_OF]  # of the default method
 

@@ -14,7 +14,7 @@ from uncle.recon.bench.methods import known_methods
 from uncle.recon.bench.process import Record, evaluate, map_costs, new_run, sensor_options, uncle
 from uncle.recon.bench.scores import scores
 from uncle.recon.bench.tables import cell, markdown_table, ratio
-from uncle.recon.errors import UncleError
+from uncle.recon.core.errors import UncleError
 
 BASELINE = "tsdf"  # knows no seed: scored once, timed BASELINE_TIMES between the other runs
 BASELINE_TIMES = 3

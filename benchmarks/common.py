@@ -9,7 +9,7 @@ from typing import Any
 
 from uncle.recon.bench import records
 from uncle.recon.bench.process import Record
-from uncle.recon.events import Event, Note, Warn
+from uncle.recon.core.events import Event, Note, Warn
 
 
 def carry_out(

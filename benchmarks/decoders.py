@@ -15,7 +15,7 @@ from pathlib import Path
 
 import torch
 from torch import Tensor
-from uncle.recon.device import choose_device
+from uncle.recon.core.device import choose_device
 from uncle.recon.nice.decoder_files import load_decoders, shipped_decoders
 from uncle.recon.nice.decoders import CHANNELS, OCCUPANCY_SLOPE, OccupancyDecoders, random_decoders
 from uncle.recon.pretrain.decoder_scores import decoder_scores

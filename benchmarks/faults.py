@@ -17,8 +17,8 @@ from uncle.datasets import open_dataset
 from uncle.recon.bench.process import Record, new_run, sensor_options, uncle
 from uncle.recon.bench.scores import surface_scores
 from uncle.recon.bench.tables import cell, markdown_table
-from uncle.recon.errors import UncleError
-from uncle.recon.frame import Frame, Recording
+from uncle.recon.core.errors import UncleError
+from uncle.recon.core.frame import Frame, Recording
 from uncle.recon.preprocess import preprocess
 from uncle.recon.run import RunDirectory
 

@@ -14,13 +14,13 @@ from pathlib import Path
 
 import numpy as np
 import open3d as o3d
-from uncle.recon.errors import UncleError
-from uncle.recon.frame import Frame
+from uncle.recon.core.errors import UncleError
+from uncle.recon.core.frame import Frame
 from uncle.recon.map_stage import choose_sensors, peak_memory_mb
 from uncle.recon.recording import RunFrames
 from uncle.recon.run import RunDirectory
-from uncle.recon.storage import DEPTH_UNITS_PER_M, encode_metres
-from uncle.recon.trajectory import Trajectory
+from uncle.recon.core.files import DEPTH_UNITS_PER_M, encode_metres
+from uncle.recon.core.trajectory import Trajectory
 
 METHODS = {
     "open3d": o3d.t.pipelines.odometry.Method.PointToPlane,  # depth alone: Open3D's default

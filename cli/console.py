@@ -10,7 +10,7 @@ from typing import Any
 import click
 from tqdm import tqdm
 
-from ..recon.events import Event, Note, Progress, Warn
+from ..recon.core.events import Event, Note, Progress, Warn
 
 
 class Console:

@@ -120,7 +120,7 @@ def _evaluate_trajectory(ctx: click.Context, estimate: Path, reference: Path, pl
 
 
 def _plot(ctx: click.Context, path: CameraPath, folder: Path) -> None:
-    from ..recon.events import Note
+    from ..recon.core.events import Note
     from ..recon.trajectory_charts import draw_camera_path
 
     drawn = draw_camera_path(path, folder)
@@ -130,7 +130,7 @@ def _plot(ctx: click.Context, path: CameraPath, folder: Path) -> None:
 def _evaluate_mesh(
     mesh_path: Path, gt_path: Path, settings: EvalSettings, cull: Path | None, error_mesh: Path | None, as_json: bool
 ) -> None:
-    from ..recon.mesh_io import Mesh
+    from ..recon.core.mesh import Mesh
     from ..recon.run import RunDirectory
     from ..recon.run_metrics import score_surface, to_plain, write_error_mesh
     from ..recon.visibility import Visibility
@@ -159,9 +159,9 @@ def _evaluate_run(
     as_json: bool,
 ) -> None:
     from ..recon.camera_path import CameraPath
-    from ..recon.errors import DataError
-    from ..recon.events import Warn
-    from ..recon.mesh_io import Mesh
+    from ..recon.core.errors import DataError
+    from ..recon.core.events import Warn
+    from ..recon.core.mesh import Mesh
     from ..recon.run import RunDirectory
     from ..recon.run_metrics import evaluate_run, load_reference, to_plain, write_error_mesh
 

@@ -54,14 +54,14 @@ class LazyGroup(click.Group):
 
     def invoke(self, ctx: click.Context) -> Any:
         """Run a command; errors meant for people become one line and exit code 1."""
-        from ..recon.errors import UncleError
+        from ..recon.core.errors import UncleError
 
         try:
             return super().invoke(ctx)
         except UncleError as error:
             raise click.ClickException(str(error)) from error
         except (ImportError, OSError) as error:
-            from ..recon.system import dependency_error
+            from ..recon.core.system_check import dependency_error
 
             explained = dependency_error(error)
             if explained is None:

@@ -49,7 +49,7 @@ def command(
     uncle map --prior yesterday/run
     """
     from ..recon.config import make_config
-    from ..recon.events import Note
+    from ..recon.core.events import Note
     from ..recon.map_stage import map_run
     from ..recon.noise_prior import NoisePrior
     from ..recon.run import RunDirectory

@@ -27,7 +27,7 @@ def command(
     out: Path | None, overwrite: bool,
 ) -> None:  # fmt: skip
     """Extract the surface of a finished map as PLY: colour, and confidence (1 sigma, metres) per vertex."""
-    from ..recon.events import Note
+    from ..recon.core.events import Note
     from ..recon.mesh_stage import mesh_run
     from ..recon.run import RunDirectory
 

@@ -35,7 +35,7 @@ def command(
     is left as it is.
     """
     from ..datasets import open_dataset
-    from ..recon.events import Note
+    from ..recon.core.events import Note
     from ..recon.preprocess import preprocess
     from ..recon.run import RunDirectory
 

@@ -47,8 +47,8 @@ def command(
     uncle pretrain confidence rooms/a rooms/b rooms/c --sensor sgm --out sgm.pt
     """
     from ..recon.confidence.models import save_network
-    from ..recon.device import choose_device
-    from ..recon.events import Note
+    from ..recon.core.device import choose_device
+    from ..recon.core.events import Note
     from ..recon.pretrain.confidence import ConfidenceTraining, train_confidence
     from ..recon.pretrain.depth_pairs import DepthPairs
 

@@ -36,7 +36,7 @@ def command(ctx: click.Context, out: Path, steps: int, cubes: int, seed: int, de
     uncle pretrain decoders --out decoders.pt
     uncle pretrain decoders --cubes 516 --steps 6000 --device cuda
     """
-    from ..recon.device import choose_device
+    from ..recon.core.device import choose_device
     from ..recon.pretrain.decoder_run import pretrain_decoders
     from ..recon.pretrain.decoder_training import DecoderTraining
 

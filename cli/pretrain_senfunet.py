@@ -8,15 +8,7 @@ from pathlib import Path
 import click
 
 from .console import listener
-from .options import (
-    SensorsCommand,
-    data_option,
-    device_option,
-    max_minutes_option,
-    prepare_option,
-    seed_option,
-    sensors_option,
-)
+from .options import SensorsCommand, data_option, device_option, max_minutes_option, prepare_option, seed_option, sensors_option
 from .training_data import open_sources
 
 
@@ -55,8 +47,8 @@ def command(
     \b
     uncle pretrain senfunet rooms/a rooms/b rooms/c --sensors sl sgm --out sl-sgm.pt
     """
-    from ..recon.device import choose_device
-    from ..recon.events import Note
+    from ..recon.core.device import choose_device
+    from ..recon.core.events import Note
     from ..recon.pretrain.senfunet import SenfunetTraining, train_senfunet
     from ..recon.pretrain.senfunet_scenes import collect_scene, load_scenes, save_scenes
 

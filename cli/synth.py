@@ -39,7 +39,7 @@ def command(ctx, out, mesh, up, frames, size, sensors, loops, seed, overwrite) -
     uncle synth mine --mesh room.glb --up y --loops 2
     """
     from ..datasets.synth.write import make_dataset
-    from ..recon.events import Note
+    from ..recon.core.events import Note
 
     on_event = listener(ctx)
     make_dataset(

@@ -32,7 +32,7 @@ def command(
     uncle uncertainty
     uncle uncertainty --sensor sgm --frame 40 --out pictures
     """
-    from ..recon.events import Note
+    from ..recon.core.events import Note
     from ..recon.run import RunDirectory
     from ..recon.run_metrics import to_plain
     from ..recon.uncertainty_stage import uncertainty_run

@@ -6,7 +6,7 @@ from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from ..recon.errors import DataError
+from ..recon.core.errors import DataError
 
 if TYPE_CHECKING:  # the readers import torch; whoever only wants the names of the formats should not wait for it
     from .recording import FileRecording

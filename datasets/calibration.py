@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator, model_validator
 
-from ..recon.camera import Camera
-from ..recon.errors import DataError
+from ..recon.core.camera import Camera
+from ..recon.core.errors import DataError
 from .poses import checked_pose
 
 CAMERA_FILE = "camera.json"

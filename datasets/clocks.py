@@ -18,8 +18,8 @@ import cv2
 import numpy as np
 from scipy.stats import rankdata
 
-from ..recon.errors import DataError
-from ..recon.storage import read_image
+from ..recon.core.errors import DataError
+from ..recon.core.files import read_image
 from .images import SATURATED
 
 STRETCHES, STRETCH = 6, 45  # parts of the recording that are looked at, and images in each

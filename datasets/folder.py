@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ..recon.errors import DataError
+from ..recon.core.errors import DataError
 from .calibration import CAMERA_FILE, CameraFile
 from .images import list_files
 from .layout import first_file

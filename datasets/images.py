@@ -8,9 +8,9 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from ..recon.camera import Camera
-from ..recon.errors import DataError
-from ..recon.storage import read_image
+from ..recon.core.camera import Camera
+from ..recon.core.errors import DataError
+from ..recon.core.files import read_image
 
 IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg")
 SATURATED = 65535  # the largest value of a 16-bit depth image never is a reading; Kinect recordings mark holes by it

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from pathlib import Path
 
-from ..recon.errors import DataError
+from ..recon.core.errors import DataError
 from .images import natural_key
 
 

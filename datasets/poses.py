@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from ..recon.errors import DataError
-from ..recon.trajectory import Trajectory
+from ..recon.core.errors import DataError
+from ..recon.core.trajectory import Trajectory
 
 MAX_POSE_GAP_S = 0.08  # METHOD: motion capture with a wider gap says too little about the moment in between
 ORTHONORMAL_TOLERANCE = 1e-2  # text files round; anything beyond is no rotation

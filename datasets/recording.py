@@ -11,9 +11,9 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from ..recon.camera import Camera
-from ..recon.errors import DataError, FrameError
-from ..recon.frame import Frame
+from ..recon.core.camera import Camera
+from ..recon.core.errors import DataError, FrameError
+from ..recon.core.frame import Frame
 from .calibration import Calibration
 from .images import Undistorter, read_color, read_depth
 from .poses import pose_notes

@@ -5,7 +5,7 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
-from ..recon.camera import Camera
+from ..recon.core.camera import Camera
 
 TYPICAL_DEPTH_M = 2.0  # where a frame has no reading at all: rooms are seen from about there
 MEDIAN_PX = 5  # readings flicker at edges; without a median the colour would be torn there

@@ -6,8 +6,8 @@ from pathlib import Path
 
 import numpy as np
 
-from ..recon.camera import Camera
-from ..recon.errors import DataError
+from ..recon.core.camera import Camera
+from ..recon.core.errors import DataError
 from .calibration import Calibration, calibration_or
 from .images import list_numbered
 from .layout import first_file

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from ..recon.camera import Camera
-from ..recon.errors import DataError
+from ..recon.core.camera import Camera
+from ..recon.core.errors import DataError
 from .calibration import CAMERA_FILE, Calibration, calibration_or
 from .images import list_files, read_size
 from .layout import first_file

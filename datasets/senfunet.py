@@ -7,8 +7,8 @@ from pathlib import Path
 
 import numpy as np
 
-from ..recon.camera import Camera
-from ..recon.errors import DataError
+from ..recon.core.camera import Camera
+from ..recon.core.errors import DataError
 from .calibration import Calibration, calibration_or
 from .images import list_files, read_size
 from .layout import choose_sequence, first_file

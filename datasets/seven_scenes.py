@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from ..recon.camera import Camera
+from ..recon.core.camera import Camera
 from .calibration import CAMERA_FILE, Calibration, calibration_or
 from .images import list_files
 from .layout import choose_sequence

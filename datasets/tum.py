@@ -7,8 +7,8 @@ from pathlib import Path
 
 import numpy as np
 
-from ..recon.camera import Camera
-from ..recon.errors import DataError
+from ..recon.core.camera import Camera
+from ..recon.core.errors import DataError
 from .calibration import CAMERA_FILE, Calibration, calibration_or
 from .clocks import Stream, depth_delay
 from .layout import first_file

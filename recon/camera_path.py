@@ -8,10 +8,10 @@ from pathlib import Path
 
 import numpy as np
 
-from .errors import DataError
+from .core.errors import DataError
 from .run import RunDirectory
 from .tracking_record import TrackingRecord
-from .trajectory import Trajectory
+from .core.trajectory import Trajectory
 from .trajectory_metrics import MatchedPoses, has_clock
 
 

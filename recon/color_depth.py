@@ -15,7 +15,7 @@ from typing import Protocol
 import cv2
 import numpy as np
 
-from .camera import Camera
+from .core.camera import Camera
 from .photo_match import GreyView, agreement_volume, texture
 from .visibility import project_into
 

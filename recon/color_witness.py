@@ -13,11 +13,11 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from .camera import Camera
+from .core.camera import Camera
 from .color_depth import FEATURES, MIN_SOURCES, ColorDepth, choose_sources, depth_by_color, disagreement
 from .config import ColorConfig, UncertaintyConfig
-from .events import OnEvent, ignore, track_progress
-from .frame import Frame
+from .core.events import OnEvent, ignore, track_progress
+from .core.frame import Frame
 from .map_surface import MapSurface
 from .photo_match import GreyView
 from .recording import RunFrames

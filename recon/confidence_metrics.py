@@ -9,10 +9,10 @@ import numpy as np
 from scipy.stats import norm
 
 from .calibration import BINS, rank_correlation, sparsification
-from .errors import DataError
-from .mesh_io import Mesh
+from .core.errors import DataError
+from .core.mesh import Mesh
 from .stated_intervals import LEVELS
-from .surface import Surface
+from .core.mesh_raycaster import Surface
 
 MEDIAN_IN_SIGMAS = float(norm.ppf(0.75))  # 0.674, of the distance |e| of a Gaussian error
 SIGMAS = (1.0, 2.0)

@@ -9,7 +9,7 @@ from typing import Annotated, Any, Literal
 from pydantic import BaseModel, Field, ValidationError
 
 from .confidence.config import ConfidenceConfig
-from .errors import ConfigError
+from .core.errors import ConfigError
 from .nice.config import PRESETS as NICE_PRESETS
 from .nice.config import NiceConfig, NiceMappingConfig, NiceTrackingConfig
 from .senfunet.config import PRESET as SENFUNET_PRESET

@@ -12,7 +12,7 @@ import torch
 from torch import Tensor
 from torch.nn.functional import max_pool2d
 
-from .camera import Camera
+from .core.camera import Camera
 from .grid import BLOCK, ROWS, SparseGrid
 from .integration import MIN_Z_M, Bounds, Observation, integrate
 

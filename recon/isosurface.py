@@ -9,7 +9,7 @@ import torch
 from skimage.measure import marching_cubes
 from torch import Tensor
 
-from .events import OnEvent, ignore, track_progress
+from .core.events import OnEvent, ignore, track_progress
 from .grid import BLOCK, SparseGrid, unique_blocks
 
 TILE_BLOCKS = 8  # a tile is 64^3 cells: 1 MB of float32, and large enough that calls do not dominate

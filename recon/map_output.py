@@ -10,10 +10,10 @@ from typing import Any
 from torch import Tensor
 
 from . import sensor_record
-from .events import OnEvent, Warn
+from .core.events import OnEvent, Warn
 from .run import RunDirectory
 from .sensor_health import SensorHealth
-from .storage import BETA_UNITS_PER_M, encode_metres, explain_write_errors, write_image, write_text
+from .core.files import BETA_UNITS_PER_M, encode_metres, explain_write_errors, write_image, write_text
 
 
 class MapOutput:

@@ -13,18 +13,18 @@ import torch
 
 from .checkpoint import Checkpoint, load_tensors, save_tensors
 from .config import MapConfig, to_toml
-from .device import choose_device
-from .errors import ConfigError, RunError
-from .events import Note, OnEvent, Warn, ignore
+from .core.device import choose_device
+from .core.errors import ConfigError, RunError
+from .core.events import Note, OnEvent, Warn, ignore
 from .field import NeuralField
 from .methods import Job, make_map, trained_parts
 from .noise_prior import NoisePrior
 from .recording import RunFrames
 from .run import Manifest, RunDirectory, config_hash
-from .storage import write_text
+from .core.files import write_text
 from .tracking import GivenPoses
 from .tracking_record import TrackingRecord
-from .trajectory import Trajectory
+from .core.trajectory import Trajectory
 
 STAGE = "map"
 

@@ -8,7 +8,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from .camera import Camera
+from .core.camera import Camera
 from .grid import SparseGrid
 from .raycast import cast_rays
 

@@ -8,10 +8,10 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from .camera import Camera
+from .core.camera import Camera
 from .color_witness import ColorWitness
 from .config import MapConfig
-from .frame import Frame
+from .core.frame import Frame
 from .fusion import FusionVolume
 from .fusion_log import FusionLog
 from .grid import SparseGrid

@@ -6,11 +6,11 @@ import time
 from dataclasses import dataclass
 from pathlib import Path
 
-from .events import OnEvent, ignore
+from .core.events import OnEvent, ignore
 from .map_stage import load_field
 from .mesh import make_mesh
 from .run import RunDirectory, config_hash
-from .trajectory import Trajectory
+from .core.trajectory import Trajectory
 
 STAGE = "mesh"
 

@@ -13,10 +13,10 @@ import torch
 from .checkpoint import Checkpoint, save_tensors
 from .confidence.models import ConfidenceModels
 from .config import MapConfig
-from .errors import DataError
-from .events import OnEvent, track_progress
+from .core.errors import DataError
+from .core.events import OnEvent, track_progress
 from .field import NeuralField
-from .frame import Frame
+from .core.frame import Frame
 from .map_output import MapOutput
 from .nice.scene import choose_decoders
 from .noise_prior import NoisePrior, save_noise_models

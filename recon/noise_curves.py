@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from .errors import DataError
+from .core.errors import DataError
 from .recording import RunFrames
 from .sensor_pictures import read_sensor_frame, spread_frames
 

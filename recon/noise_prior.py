@@ -13,7 +13,7 @@ import torch
 
 from .checkpoint import load_versioned, save_tensors
 from .config import UncertaintyConfig
-from .errors import ConfigError, RunError
+from .core.errors import ConfigError, RunError
 from .noise_features import FEATURES
 from .run import RunDirectory
 from .uncertainty import NoiseModel

@@ -10,9 +10,9 @@ from torch import Tensor
 
 from .checkpoint import Checkpoint
 from .config import MapConfig
-from .events import Note, OnEvent, Progress, ignore
+from .core.events import Note, OnEvent, Progress, ignore
 from .field import NeuralField
-from .frame import Frame
+from .core.frame import Frame
 from .pipeline import OnBeta
 from .progression import Timed
 from .recording import RunFrames

@@ -14,11 +14,11 @@ from torch import Tensor
 from .checkpoint import Checkpoint
 from .color_witness import MAX_REGISTRATION_PX
 from .config import MapConfig
-from .device import choose_device
-from .errors import DataError
-from .events import Note, OnEvent, Progress, ignore
+from .core.device import choose_device
+from .core.errors import DataError
+from .core.events import Note, OnEvent, Progress, ignore
 from .field import NeuralField
-from .frame import Frame
+from .core.frame import Frame
 from .mapper import Mapper
 from .noise_prior import NoisePrior
 from .progression import Progression

@@ -18,12 +18,12 @@ import cv2
 import numpy as np
 
 from .conversion import FrameConverter, FrameResult
-from .errors import DataError, RunError
-from .events import Note, OnEvent, Warn, ignore, track_progress
-from .frame import Recording
+from .core.errors import DataError, RunError
+from .core.events import Note, OnEvent, Warn, ignore, track_progress
+from .core.frame import Recording
 from .run import FrameRecord, Manifest, RunDirectory, config_hash
-from .storage import explain_write_errors, write_text
-from .trajectory import Trajectory
+from .core.files import explain_write_errors, write_text
+from .core.trajectory import Trajectory
 
 STAGE = "preprocess"
 FRAMES_AHEAD = 2  # frames waiting per thread: keeps all of them busy with little memory

@@ -9,9 +9,9 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from .adam import Adam
+from .core.adam import Adam
 from .config import FieldConfig
-from .events import OnEvent, ignore, track_progress
+from .core.events import OnEvent, ignore, track_progress
 from .field import NeuralField
 from .losses import laplace_nll
 from .ray_readings import RayReadings

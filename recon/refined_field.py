@@ -5,7 +5,7 @@ from __future__ import annotations
 import torch
 
 from .config import FieldConfig, MapConfig
-from .events import OnEvent, ignore
+from .core.events import OnEvent, ignore
 from .field import NeuralField
 from .mapper import Mapper
 from .reading_weights import WEIGHT_SCALE_M

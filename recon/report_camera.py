@@ -5,8 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 
 from .camera_path import CameraPath
-from .errors import DataError
-from .report_html import embed_picture, explain, missing, table
+from .core.errors import DataError
+from .core.html import embed_picture, explain, missing, table
 from .run import RunDirectory
 from .run_trajectory import score_tracking, score_trajectory
 from .tracking_metrics import describe_lost

@@ -7,7 +7,7 @@ import dataclasses
 import numpy as np
 
 from .camera_path import CameraPath
-from .errors import DataError
+from .core.errors import DataError
 from .recording import RunFrames
 from .run import RunDirectory
 from .tracking_metrics import TrackingMetrics, evaluate_tracking, rows_at

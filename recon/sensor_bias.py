@@ -15,7 +15,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from .camera import Camera
+from .core.camera import Camera
 from .color_depth import disagreement
 from .config import UncertaintyConfig
 from .noise_features import FEATURES, relative_spread

@@ -9,10 +9,10 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from .camera import Camera
+from .core.camera import Camera
 from .color_witness import ColorWitness
 from .config import UncertaintyConfig
-from .frame import Frame
+from .core.frame import Frame
 from .keyframes import RayStore
 from .sensor_bias import CONFIRMED, BiasTrial, SensorBias
 

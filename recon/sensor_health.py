@@ -15,9 +15,9 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from .camera import Camera
+from .core.camera import Camera
 from .config import HealthConfig
-from .frame import Frame
+from .core.frame import Frame
 
 Verdict = Literal["ok", "missing", "frozen", "disagrees"]
 

@@ -9,11 +9,11 @@ from pathlib import Path
 import numpy as np
 
 from .charts import ColorScale, encode_figure, new_figure, plain, show_picture
-from .errors import DataError
-from .events import OnEvent, Warn, ignore
+from .core.errors import DataError
+from .core.events import OnEvent, Warn, ignore
 from .recording import RunFrames
 from .run import RunDirectory
-from .storage import write_bytes
+from .core.files import write_bytes
 from .visibility import GROUND_TRUTH_SENSOR
 
 _ROWS = 3

@@ -10,15 +10,15 @@ import numpy as np
 
 from . import offscreen, raycast_view
 from .charts import ColorScale, picture_sheet
-from .errors import ConfigError, DataError, DependencyError, RunError
-from .events import Note, OnEvent, Warn, ignore
-from .mesh_io import Mesh
+from .core.errors import ConfigError, DataError, DependencyError, RunError
+from .core.events import Note, OnEvent, Warn, ignore
+from .core.mesh import Mesh
 from .raycast_view import Pictures
 from .recording import RunFrames
 from .run import RunDirectory
 from .shading import Geometry, Layer
-from .storage import write_bytes, write_image
-from .trajectory import Trajectory
+from .core.files import write_bytes, write_image
+from .core.trajectory import Trajectory
 from .views import DEFAULT_SIZE, View, finite_poses, mesh_views, run_views
 
 MODES = ("shaded", "color", "confidence", "error")

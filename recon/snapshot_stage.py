@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
-from .events import OnEvent, Warn, ignore
-from .mesh_io import Mesh
+from .core.events import OnEvent, Warn, ignore
+from .core.mesh import Mesh
 from .run import RunDirectory
 from .sensor_pictures import draw_sensors
 from .snapshot import draw_mesh, load_reference, load_run_mesh, snapshot_views

@@ -9,7 +9,7 @@ import numpy as np
 
 from .camera_path import CameraPath, finite_poses
 from .charts import Line, draw_lines, encode_figure, new_figure
-from .storage import write_bytes
+from .core.files import write_bytes
 from .tracking_metrics import pose_covariances, record_rows, stated_sigmas
 
 if TYPE_CHECKING:

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import torch
 
-from .camera import Camera
+from .core.camera import Camera
 from .config import MapConfig
-from .events import OnEvent, Progress, ignore
+from .core.events import OnEvent, Progress, ignore
 from .field import NeuralField
 from .grid import BLOCK, ROWS, SparseGrid
 from .recording import RunFrames

@@ -12,9 +12,9 @@ import torch
 from torch import Tensor, nn
 from torch.nn.functional import linear, softplus
 
-from .adam import Adam
+from .core.adam import Adam
 from .config import UncertaintyConfig
-from .errors import ConfigError
+from .core.errors import ConfigError
 from .losses import interval_loss, laplace_nll
 from .noise_features import FEATURES
 

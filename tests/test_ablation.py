@@ -9,7 +9,7 @@ import pytest
 from scipy import stats
 from uncle.recon.bench.statistics import ALL_SCENES
 from uncle.recon.config import make_config
-from uncle.recon.errors import ConfigError
+from uncle.recon.core.errors import ConfigError
 from uncle.recon.uncertainty import seen_features
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "benchmarks"))  # the programs import each other by their bare names

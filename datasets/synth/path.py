@@ -11,7 +11,7 @@ from scipy.interpolate import Akima1DInterpolator
 from scipy.ndimage import label
 from scipy.spatial.transform import Rotation
 
-from ...recon.errors import DataError
+from ...recon.core.errors import DataError
 
 CLEARANCE_M = 0.4
 MAX_STEP_M = 0.05  # per frame, hand shake included

@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 import open3d as o3d
 
-from ...recon.camera import Camera
+from ...recon.core.camera import Camera
 from .lighting import LightField
 from .scene import Scene
 

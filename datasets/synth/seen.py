@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import open3d as o3d
 
-from ...recon.camera import Camera
-from ...recon.mesh_io import Mesh
+from ...recon.core.camera import Camera
+from ...recon.core.mesh import Mesh
 from .render import Renderer
 from .scene import Scene
 

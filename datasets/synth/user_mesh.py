@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import open3d as o3d
 
-from ...recon.errors import DataError
+from ...recon.core.errors import DataError
 from .scene import Scene
 
 _WHITE = np.full((4, 4, 3), 255, dtype=np.uint8)

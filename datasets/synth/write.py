@@ -13,10 +13,10 @@ from pathlib import Path
 
 import numpy as np
 
-from ...recon.camera import Camera
-from ...recon.errors import ConfigError, RunError
-from ...recon.events import Note, OnEvent, ignore, track_progress
-from ...recon.storage import DEPTH_UNITS_PER_M, encode_metres, explain_write_errors, write_image, write_text
+from ...recon.core.camera import Camera
+from ...recon.core.errors import ConfigError, RunError
+from ...recon.core.events import Note, OnEvent, ignore, track_progress
+from ...recon.core.files import DEPTH_UNITS_PER_M, encode_metres, explain_write_errors, write_image, write_text
 from ..poses import OPENGL_TO_OPENCV, Z_UP_FROM_Y_UP
 from . import sensors as active
 from . import stereo

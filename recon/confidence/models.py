@@ -12,7 +12,7 @@ import torch
 from torch import Tensor
 
 from ..checkpoint import load_versioned, save_tensors
-from ..errors import ConfigError
+from ..core.errors import ConfigError
 from .network import ConfidenceNetwork, confidence_image
 
 FORMAT, VERSION = "uncle confidence network", 1

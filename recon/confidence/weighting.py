@@ -5,7 +5,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from ..frame import Frame
+from ..core.frame import Frame
 from ..nice.config import NiceConfig, NiceTrackingConfig
 from ..nice.views import Rays
 from ..nice.weighting import Normals, Uniform

@@ -8,8 +8,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from ..camera import Camera
-from ..errors import ConfigError, DataError
+from ..core.camera import Camera
+from ..core.errors import ConfigError, DataError
 from ..recording import RunFrames
 from .config import NiceConfig
 

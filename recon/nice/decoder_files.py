@@ -11,7 +11,7 @@ import torch
 from torch import Tensor
 
 from ..checkpoint import save_tensors
-from ..errors import ConfigError
+from ..core.errors import ConfigError
 from .decoders import LAYERS, Decoder, OccupancyDecoders, fine_decoder, middle_decoder
 
 FORMAT = "uncle occupancy decoders, version 1"

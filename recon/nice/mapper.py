@@ -9,7 +9,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from ..camera import Camera
+from ..core.camera import Camera
 from ..config import MapConfig
 from .config import NiceMappingConfig
 from .frustum import in_frustum

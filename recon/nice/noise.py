@@ -9,8 +9,9 @@ import torch
 from torch import Tensor, nn
 from torch.nn.functional import softplus
 
-from .. import features, features_reference
-from ..camera import Camera
+from ..core import normals as features
+from .. import features_reference
+from ..core.camera import Camera
 
 PATCH = 5  # pixels
 HIDDEN = 32

@@ -9,7 +9,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from ..camera import Camera
+from ..core.camera import Camera
 from ..config import MapConfig
 from ..field import ACTIVE_VOXELS, NeuralField
 from ..grid import BLOCK, ROWS, SparseGrid, unique_blocks

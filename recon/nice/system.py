@@ -9,9 +9,9 @@ import torch
 from torch import Tensor
 
 from ..config import MapConfig
-from ..events import OnEvent, track_progress
+from ..core.events import OnEvent, track_progress
 from ..field import NeuralField
-from ..frame import Frame
+from ..core.frame import Frame
 from ..grid import SparseGrid
 from ..online import Found, Poses
 from ..recording import RunFrames

@@ -6,7 +6,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from ..camera import Camera
+from ..core.camera import Camera
 from ..config import MapConfig
 from ..online import Found
 from .objective import Evaluate, look, tracking_loss

@@ -12,9 +12,9 @@ from typing import Any, Protocol
 import torch
 from torch import Tensor, nn
 
-from ..camera import Camera
+from ..core.camera import Camera
 from ..confidence.models import ConfidenceModels
-from ..frame import Frame
+from ..core.frame import Frame
 from .config import NiceConfig, NiceTrackingConfig
 from .noise import COLOR_INPUTS, PATCH, NoiseNet, noise_images
 from .scene import Stage

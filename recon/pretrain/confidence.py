@@ -14,9 +14,9 @@ from torch import Tensor
 from torch.nn.functional import avg_pool2d, conv2d
 
 from ..confidence.network import SMALLEST_SIDE, ConfidenceNetwork
-from ..errors import ConfigError, DataError
-from ..events import OnEvent, Progress, ignore
-from ..storage import DEPTH_UNITS_PER_M
+from ..core.errors import ConfigError, DataError
+from ..core.events import OnEvent, Progress, ignore
+from ..core.files import DEPTH_UNITS_PER_M
 from .depth_pairs import DepthPairs
 
 NEAREST_M, FARTHEST_M = 0.05, 12.3  # true depths that count

@@ -13,8 +13,8 @@ from typing import Any
 import torch
 
 from ..checkpoint import Checkpoint
-from ..errors import ConfigError
-from ..events import Note, OnEvent, Progress, ignore
+from ..core.errors import ConfigError
+from ..core.events import Note, OnEvent, Progress, ignore
 from ..nice.decoder_files import save_decoders
 from ..nice.decoders import OccupancyDecoders
 from .decoder_scores import decoder_scores

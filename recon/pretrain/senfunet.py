@@ -12,7 +12,7 @@ import torch
 from torch import Tensor
 from torch.nn.utils import clip_grad_norm_
 
-from ..events import OnEvent, Progress, ignore
+from ..core.events import OnEvent, Progress, ignore
 from ..grid import unique_blocks
 from ..senfunet.blending import fused_distance, single_sensor, weighting_inputs
 from ..senfunet.bricks import BRICK, brick_samples, inner_part

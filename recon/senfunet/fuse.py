@@ -7,10 +7,10 @@ import torch
 from torch import Tensor
 
 from ..config import MapConfig
-from ..errors import ConfigError
-from ..events import OnEvent, Progress, Warn, ignore, track_progress
+from ..core.errors import ConfigError
+from ..core.events import OnEvent, Progress, Warn, ignore, track_progress
 from ..field import NeuralField
-from ..frame import Frame
+from ..core.frame import Frame
 from ..grid import SparseGrid, unique_blocks
 from ..recording import RunFrames
 from .blending import believed, fused_distance, weighting_inputs

@@ -11,7 +11,7 @@ import torch
 from torch import Tensor, nn
 
 from ..checkpoint import load_versioned, save_tensors
-from ..errors import ConfigError
+from ..core.errors import ConfigError
 from .network import FeatureNetwork, WeightingNetwork
 
 FORMAT, VERSION = "uncle senfunet", 1

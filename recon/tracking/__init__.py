@@ -7,8 +7,8 @@ from typing import Any, Protocol
 import numpy as np
 from torch import Tensor
 
-from ..errors import DataError
-from ..frame import Frame
+from ..core.errors import DataError
+from ..core.frame import Frame
 from ..tracking_record import TrackingRecord
 
 

@@ -11,9 +11,9 @@ from typing import Any
 import numpy as np
 import torch
 
-from ..camera import Camera
+from ..core.camera import Camera
 from ..config import TrackingConfig
-from ..frame import Frame
+from ..core.frame import Frame
 from ..fusion import FusionVolume
 from ..tracking_record import Status, TrackedFrame, TrackingRecord
 from ..uncertainty import NoiseModel
@@ -21,7 +21,7 @@ from . import graph_state
 from .keyframe_graph import KeyframeGraph
 from .landmarks import Sighting
 from .local_features import match, match_near, near_projections, project
-from .motion import angle, exceeds, inverse, motion_between, moved, transform
+from ..core.se3 import angle, exceeds, inverse, motion_between, moved, transform
 from .pose_estimation import MIN_INLIERS, covariance_of, feature_term, is_weak, minimise, ransac_pose
 from .sightings import Prepared, prepare, readings_of, sight, surface_view, weigh
 from .surface_alignment import Readings, scaled, surface_term

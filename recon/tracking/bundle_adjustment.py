@@ -16,8 +16,8 @@ import numpy as np
 from scipy import sparse
 from scipy.linalg import cho_factor, cho_solve
 
-from ..camera import Camera
-from .motion import cross_matrix, inverse, moved, transform
+from ..core.camera import Camera
+from ..core.se3 import cross_matrix, inverse, moved, transform
 from .pose_edges import PoseEdges, linearise_edges
 
 PIXEL_SCALE = 2.0  # residuals, in sigmas, beyond which an observation loses influence (Cauchy)

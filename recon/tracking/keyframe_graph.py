@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..camera import Camera
+from ..core.camera import Camera
 from .bundle_adjustment import Observations, adjust, covariances, without_outliers
 from .landmarks import NONE, Landmarks, Sighting, observations_of, seen_at_least
 from .local_features import back_projected
 from .loops import Place, corrected_poses, recognise
-from .motion import angle, exceeds, inverse, transform
+from ..core.se3 import angle, exceeds, inverse, transform
 from .placement import placed_again
 from .pose_edges import Measured, edges_among
 from .view_alignment import SurfaceView, align_views

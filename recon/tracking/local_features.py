@@ -9,8 +9,8 @@ import cv2
 import numpy as np
 from scipy.spatial import cKDTree
 
-from ..camera import Camera
-from .motion import inverse, transform
+from ..core.camera import Camera
+from ..core.se3 import inverse, transform
 
 MAX_FEATURES = 1000
 _PIXELS = 160_000

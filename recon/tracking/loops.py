@@ -6,10 +6,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..camera import Camera
+from ..core.camera import Camera
 from .landmarks import Landmarks, Sighting
 from .local_features import match
-from .motion import inverse
+from ..core.se3 import inverse
 from .pose_estimation import feature_term, minimise, ransac_pose
 
 MIN_MATCHES = 25

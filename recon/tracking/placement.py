@@ -10,9 +10,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from ..camera import Camera
+from ..core.camera import Camera
 from .bundle_adjustment import Observations, adjust, residuals, robust_weights, without_outliers
-from .motion import motion_between, moved
+from ..core.se3 import motion_between, moved
 
 AROUND = ((-1, 1), (-2, 2), (-2, -1), (1, 2))  # pairs of neighbours that tell where a frame between or beside them is
 NEAR = 3  # frames: neighbours that are further away tell nothing

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from .motion import cross_matrix, inverse, motion_between
+from ..core.se3 import cross_matrix, inverse, motion_between
 
 Measured = tuple[int, int, np.ndarray, np.ndarray]  # two frames, T_first_second (4, 4), information (6, 6)
 

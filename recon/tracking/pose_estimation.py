@@ -8,9 +8,9 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from ..camera import Camera
+from ..core.camera import Camera
 from .bundle_adjustment import Observations, residuals, robust_weights
-from .motion import inverse, motion_between, moved
+from ..core.se3 import inverse, motion_between, moved
 
 MIN_INLIERS = 12
 _REPROJECTION_PX = 4.0

@@ -11,9 +11,9 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from ..camera import Camera
+from ..core.camera import Camera
 from ..config import TrackingConfig
-from ..frame import Frame
+from ..core.frame import Frame
 from ..uncertainty import NoiseModel
 from .landmarks import NONE, Sighting
 from .local_features import LocalFeatures, extract_features, no_features

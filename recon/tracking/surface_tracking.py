@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..fusion import FusionVolume
-from .motion import motion_between
+from ..core.se3 import motion_between
 from .pose_estimation import Term, is_weak, minimise, prior_term
 from .sightings import rule_of_thumb
 from .surface_alignment import SHARE, Readings, agreement, distances, scaled, surface_term

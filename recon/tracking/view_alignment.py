@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 import torch
 
-from ..camera import Camera
-from .motion import exceeds, inverse
+from ..core.camera import Camera
+from ..core.se3 import exceeds, inverse
 from .pose_estimation import Linearised, Term, minimise
 
 ROBUST_SCALE = 2.0  # sigmas

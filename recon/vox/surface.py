@@ -7,9 +7,9 @@ import math
 import torch
 from torch import Tensor
 
-from ..camera import Camera
+from ..core.camera import Camera
 from ..config import FieldConfig
-from ..events import OnEvent, ignore, track_progress
+from ..core.events import OnEvent, ignore, track_progress
 from ..field import ACTIVE_VOXELS, NeuralField
 from ..grid import ROWS, SparseGrid
 from .model import VoxModel

@@ -9,9 +9,9 @@ import torch
 from torch import Tensor
 
 from ..config import MapConfig
-from ..events import OnEvent, track_progress
+from ..core.events import OnEvent, track_progress
 from ..field import NeuralField
-from ..frame import Frame
+from ..core.frame import Frame
 from ..online import Found, Poses
 from ..recording import RunFrames
 from .config import VoxConfig

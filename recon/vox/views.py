@@ -9,8 +9,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from ..camera import Camera
-from ..frame import Frame
+from ..core.camera import Camera
+from ..core.frame import Frame
 from .config import VoxConfig
 from .losses import Targets
 

@@ -9,7 +9,7 @@ from click.testing import CliRunner
 from uncle.cli.main import main
 from uncle.datasets.synth.write import make_dataset
 from uncle.recon.bench import paper, process
-from uncle.recon.errors import RunError
+from uncle.recon.core.errors import RunError
 
 
 def bench(*arguments):

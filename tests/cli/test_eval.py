@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from click.testing import CliRunner, Result
 from uncle.cli.main import main
-from uncle.recon.mesh_io import Mesh
+from uncle.recon.core.mesh import Mesh
 from uncle.recon.tracking_record import TrackedFrame, TrackingRecord
-from uncle.recon.trajectory import Trajectory
+from uncle.recon.core.trajectory import Trajectory
 
 FAST = ["--samples", "5000", "--views", "3"]
 

@@ -10,7 +10,7 @@ from click.testing import CliRunner, Result
 from uncle.cli.main import main
 from uncle.datasets.synth.write import make_dataset
 from uncle.recon.tracking_record import TrackingRecord
-from uncle.recon.trajectory import Trajectory
+from uncle.recon.core.trajectory import Trajectory
 
 FRAMES = 24
 QUICK = [

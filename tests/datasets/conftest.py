@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
-from uncle.recon.camera import Camera
+from uncle.recon.core.camera import Camera
 
 DATA = Path(__file__).resolve().parents[2].parent / "shared" / "data"
 LOW, HIGH = np.array([-1.0, -1.3, -0.9]), np.array([1.6, 1.2, 1.5])  # no symmetry that could hide a swapped axis

@@ -6,8 +6,8 @@ import cv2
 import numpy as np
 import pytest
 from uncle.datasets import open_dataset
-from uncle.recon.camera import Camera
-from uncle.recon.errors import DataError, FrameError
+from uncle.recon.core.camera import Camera
+from uncle.recon.core.errors import DataError, FrameError
 
 DOCS = Path(__file__).resolve().parents[2] / "docs" / "own-data.md"
 

@@ -3,8 +3,8 @@ import numpy as np
 import pytest
 from uncle.datasets.calibration import Calibration
 from uncle.datasets.images import Undistorter, list_files, natural_key, read_color, read_depth
-from uncle.recon.camera import Camera
-from uncle.recon.errors import DataError
+from uncle.recon.core.camera import Camera
+from uncle.recon.core.errors import DataError
 
 CAMERA = Camera(8, 6, 5.0, 5.0, 3.5, 2.5)
 

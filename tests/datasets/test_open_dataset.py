@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from uncle.datasets import FORMATS, open_dataset, recognise
-from uncle.recon.errors import DataError
+from uncle.recon.core.errors import DataError
 
 LAYOUTS = {
     "folder": ("camera.json", "color/0.png"),

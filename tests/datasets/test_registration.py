@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 from uncle.datasets.registration import TYPICAL_DEPTH_M, ColorRegistration, filled_inverse_depth
-from uncle.recon.camera import Camera
+from uncle.recon.core.camera import Camera
 
 DEPTH_CAMERA = Camera(320, 240, 290.0, 292.0, 161.0, 118.0)
 COLOR_CAMERA = Camera(320, 240, 262.0, 260.0, 158.0, 122.0)

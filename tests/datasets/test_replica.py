@@ -3,7 +3,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from uncle.datasets import open_dataset
-from uncle.recon.camera import Camera
+from uncle.recon.core.camera import Camera
 
 CAMERA = Camera(1200, 680, 600.0, 600.0, 599.5, 339.5)
 

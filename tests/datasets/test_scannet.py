@@ -3,8 +3,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 from uncle.datasets import open_dataset
-from uncle.recon.camera import Camera
-from uncle.recon.errors import DataError
+from uncle.recon.core.camera import Camera
+from uncle.recon.core.errors import DataError
 
 CAMERA = Camera(640, 480, 570.0, 572.0, 318.0, 243.0)
 

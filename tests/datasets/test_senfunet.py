@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 from uncle.datasets import open_dataset
-from uncle.recon.camera import Camera
+from uncle.recon.core.camera import Camera
 
 FOLDERS = {"gt": "left_depth_gt", "sl": "left_depth_noise_1.0", "tof": "left_depth_noise_5.0", "sgm": "left_sgm_depth"}
 

@@ -7,7 +7,7 @@ from scipy.spatial import cKDTree
 from uncle.datasets import open_dataset
 from uncle.datasets.registration import ColorRegistration, filled_inverse_depth
 from uncle.datasets.seven_scenes import KINECT
-from uncle.recon.camera import Camera
+from uncle.recon.core.camera import Camera
 
 CAMERA = Camera(640, 480, 585.0, 585.0, 320.0, 240.0)
 

@@ -16,9 +16,9 @@ from uncle.datasets.synth.room import furnished_room
 from uncle.datasets.synth.seen import subdivide
 from uncle.datasets.synth.user_mesh import load_scene
 from uncle.datasets.synth.write import make_dataset, square_camera
-from uncle.recon.errors import ConfigError, DataError, RunError
-from uncle.recon.events import Progress
-from uncle.recon.mesh_io import Mesh
+from uncle.recon.core.errors import ConfigError, DataError, RunError
+from uncle.recon.core.events import Progress
+from uncle.recon.core.mesh import Mesh
 
 SIZE = 96
 CAMERA = square_camera(SIZE)

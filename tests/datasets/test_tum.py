@@ -6,7 +6,7 @@ from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation, Slerp
 from uncle.datasets import open_dataset
 from uncle.datasets.tum import CALIBRATIONS, associate
-from uncle.recon.errors import DataError
+from uncle.recon.core.errors import DataError
 
 START = 1305031100.0
 
@@ -117,7 +117,7 @@ def test_no_pose_in_a_wide_gap(write_sequence, pose_line):
 
 def test_interpolation_agrees_with_slerp():
     from uncle.datasets.poses import interpolate_poses
-    from uncle.recon.trajectory import Trajectory
+    from uncle.recon.core.trajectory import Trajectory
 
     times = np.array([0.0, 0.05, 0.1])
     rotations = Rotation.from_euler("xyz", [[0, 0, 0], [40, 10, 5], [60, -20, 90]], degrees=True)

@@ -1,7 +1,7 @@
 """Adam against the one of torch."""
 
 import torch
-from uncle.recon.adam import Adam
+from uncle.recon.core.adam import Adam
 
 
 def loss_of(parameters: list[torch.Tensor], step: int) -> torch.Tensor:

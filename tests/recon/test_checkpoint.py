@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 import torch
 from uncle.recon.checkpoint import VERSION, Checkpoint, load_tensors, save_tensors
-from uncle.recon.errors import RunError
+from uncle.recon.core.errors import RunError
 
 
 def test_round_trip_is_exact(tmp_path):

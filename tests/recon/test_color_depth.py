@@ -5,7 +5,7 @@ from dataclasses import replace
 import cv2
 import numpy as np
 import pytest
-from uncle.recon.camera import Camera
+from uncle.recon.core.camera import Camera
 from uncle.recon.color_depth import FEATURES, SOURCES, ColorDepth, choose_sources, depth_by_color, disagreement
 from uncle.recon.photo_match import GreyView
 

@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from uncle.recon.color_metrics import MIN_SQUARE, held_out_color
-from uncle.recon.errors import DataError
-from uncle.recon.mesh_io import Mesh
+from uncle.recon.core.errors import DataError
+from uncle.recon.core.mesh import Mesh
 
 
 def painted(mesh: Mesh, colors: np.ndarray) -> Mesh:

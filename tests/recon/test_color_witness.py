@@ -10,14 +10,14 @@ from uncle.recon.checkpoint import Checkpoint
 from uncle.recon.color_depth import MIN_SOURCES
 from uncle.recon.color_witness import FULL_SIZE_PIXELS, ColorWitness
 from uncle.recon.config import ColorConfig, UncertaintyConfig, make_config
-from uncle.recon.events import Progress
-from uncle.recon.frame import Frame
+from uncle.recon.core.events import Progress
+from uncle.recon.core.frame import Frame
 from uncle.recon.mapper import Mapper
 from uncle.recon.ray_readings import RayReadings
 from uncle.recon.reading_worth import UNTESTED
 from uncle.recon.recording import RunFrames
 from uncle.recon.sensor_bias import CONFIRMED, REFUTED, BiasTrial, SensorBias
-from uncle.recon.surface import Surface
+from uncle.recon.core.mesh_raycaster import Surface
 
 STEPS = UncertaintyConfig(steps_per_sweep=150, learning_rate=0.01)
 VOXEL_M = 0.05

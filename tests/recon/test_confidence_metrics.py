@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from scipy import stats
 from uncle.recon.confidence_metrics import MEDIAN_IN_SIGMAS, evaluate_confidence, score_confidence
-from uncle.recon.errors import DataError
-from uncle.recon.mesh_io import Mesh
+from uncle.recon.core.errors import DataError
+from uncle.recon.core.mesh import Mesh
 
 SIDE = 200
 FLOOR = Mesh(

@@ -5,7 +5,7 @@ import tomllib
 import pytest
 from pydantic import BaseModel
 from uncle.recon.config import PRESETS, MapConfig, known_keys, make_config, to_toml
-from uncle.recon.errors import ConfigError
+from uncle.recon.core.errors import ConfigError
 
 
 def test_defaults_are_the_uncle_preset():

@@ -2,19 +2,11 @@
 
 import numpy as np
 import pytest
-from uncle.recon.depth_metrics import (
-    PAPER_CAMERA,
-    ViewSettings,
-    centre_box,
-    held_out_depth,
-    look_at,
-    novel_view_depth,
-    sample_views,
-)
-from uncle.recon.errors import DataError
-from uncle.recon.mesh_io import Mesh
+from uncle.recon.depth_metrics import PAPER_CAMERA, ViewSettings, centre_box, held_out_depth, look_at, novel_view_depth, sample_views
+from uncle.recon.core.errors import DataError
+from uncle.recon.core.mesh import Mesh
 from uncle.recon.mesh_metrics import near_to
-from uncle.recon.surface import Surface, sample_surface
+from uncle.recon.core.mesh_raycaster import Surface, sample_surface
 
 VIEWS = ViewSettings(views=20)
 EMPTY = Mesh(np.zeros((0, 3), np.float32), np.zeros((0, 3), np.int32))

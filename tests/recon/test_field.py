@@ -2,7 +2,7 @@
 
 import pytest
 import torch
-from uncle.recon.camera import Camera
+from uncle.recon.core.camera import Camera
 from uncle.recon.checkpoint import load_tensors, save_tensors
 from uncle.recon.config import FieldConfig
 from uncle.recon.field import ACTIVE_VOXELS, NeuralField

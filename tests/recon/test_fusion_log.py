@@ -8,7 +8,7 @@ import torch
 from uncle.recon.config import UncertaintyConfig
 from uncle.recon.fusion_log import LEVER_M, FusionLog
 from uncle.recon.noise_features import FEATURES
-from uncle.recon.tracking.motion import moved
+from uncle.recon.core.se3 import moved
 from uncle.recon.uncertainty import NoiseModel, Residuals
 
 

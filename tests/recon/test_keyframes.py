@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import torch
 from uncle.recon.config import KeyframeConfig
-from uncle.recon.frame import Frame
+from uncle.recon.core.frame import Frame
 from uncle.recon.keyframes import KeyframeSelector, RayStore, mean_depth
 
 

@@ -14,16 +14,16 @@ import pytest
 from uncle.recon import map_stage
 from uncle.recon.checkpoint import Checkpoint
 from uncle.recon.config import MapConfig, make_config
-from uncle.recon.errors import ConfigError, DataError, RunError
-from uncle.recon.events import Note, Progress, Warn
+from uncle.recon.core.errors import ConfigError, DataError, RunError
+from uncle.recon.core.events import Note, Progress, Warn
 from uncle.recon.map_stage import load_field, map_run
-from uncle.recon.mesh_io import Mesh
+from uncle.recon.core.mesh import Mesh
 from uncle.recon.mesh_stage import mesh_run
 from uncle.recon.recording import RunFrames
 from uncle.recon.run import RunDirectory
-from uncle.recon.storage import write_text
-from uncle.recon.surface import Surface
-from uncle.recon.trajectory import Trajectory
+from uncle.recon.core.files import write_text
+from uncle.recon.core.mesh_raycaster import Surface
+from uncle.recon.core.trajectory import Trajectory
 
 QUICK = [
     "fusion.voxel_size_m=0.05", "fusion.sweeps=1", "fusion.min_readings=2", "keyframes.rays=500", "field.iterations=15",

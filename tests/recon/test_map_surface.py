@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 import torch
-from uncle.recon.camera import Camera
+from uncle.recon.core.camera import Camera
 from uncle.recon.grid import SparseGrid
 from uncle.recon.map_surface import MapSurface
 

@@ -2,9 +2,9 @@
 
 import pytest
 import torch
-from uncle.recon.camera import Camera
+from uncle.recon.core.camera import Camera
 from uncle.recon.config import make_config
-from uncle.recon.frame import Frame
+from uncle.recon.core.frame import Frame
 from uncle.recon.mapper import Mapper
 from uncle.recon.noise_features import FEATURES
 from uncle.recon.raycast import cast_rays

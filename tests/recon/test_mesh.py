@@ -3,13 +3,13 @@
 import numpy as np
 import pytest
 import torch
-from uncle.recon.camera import Camera
+from uncle.recon.core.camera import Camera
 from uncle.recon.config import FieldConfig
-from uncle.recon.errors import DataError
+from uncle.recon.core.errors import DataError
 from uncle.recon.field import NeuralField
 from uncle.recon.grid import SparseGrid
 from uncle.recon.mesh import make_mesh, seen_vertices
-from uncle.recon.mesh_io import Mesh
+from uncle.recon.core.mesh import Mesh
 
 CAMERA = Camera(160, 120, 120.0, 120.0, 79.5, 59.5)
 VOXEL = 0.02

@@ -8,15 +8,15 @@ import torch
 from uncle.recon import map_stage, methods
 from uncle.recon.checkpoint import Checkpoint, load_tensors
 from uncle.recon.config import make_config
-from uncle.recon.errors import DataError
-from uncle.recon.events import Progress
+from uncle.recon.core.errors import DataError
+from uncle.recon.core.events import Progress
 from uncle.recon.field import NeuralField
 from uncle.recon.grid import SparseGrid
 from uncle.recon.map_stage import load_field, map_run
 from uncle.recon.online import Found
 from uncle.recon.recording import RunFrames
 from uncle.recon.tracking_record import TrackingRecord
-from uncle.recon.trajectory import Trajectory
+from uncle.recon.core.trajectory import Trajectory
 
 calls = []
 

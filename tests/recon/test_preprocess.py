@@ -9,14 +9,15 @@ import cv2
 import numpy as np
 import pytest
 import torch
-from uncle.recon import conversion, features, preprocess, storage
-from uncle.recon.camera import Camera
-from uncle.recon.errors import DataError, FrameError, RunError
-from uncle.recon.events import Note, Progress, Warn
-from uncle.recon.frame import Frame
+from uncle.recon import conversion, preprocess
+from uncle.recon.core import normals as features, files as storage
+from uncle.recon.core.camera import Camera
+from uncle.recon.core.errors import DataError, FrameError, RunError
+from uncle.recon.core.events import Note, Progress, Warn
+from uncle.recon.core.frame import Frame
 from uncle.recon.recording import RunFrames
 from uncle.recon.run import FrameRecord, RunDirectory
-from uncle.recon.trajectory import Trajectory
+from uncle.recon.core.trajectory import Trajectory
 
 CAMERA = Camera(48, 36, 40.0, 40.0, 23.5, 17.5)
 

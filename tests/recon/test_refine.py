@@ -5,9 +5,9 @@ from dataclasses import replace
 import pytest
 import torch
 from uncle.recon import refine as refinement
-from uncle.recon.camera import Camera
+from uncle.recon.core.camera import Camera
 from uncle.recon.config import FieldConfig
-from uncle.recon.events import Progress
+from uncle.recon.core.events import Progress
 from uncle.recon.field import NeuralField
 from uncle.recon.fusion import FusionVolume
 from uncle.recon.grid import SparseGrid

@@ -6,14 +6,14 @@ import time
 
 import numpy as np
 import pytest
-from uncle.recon.errors import RunError
+from uncle.recon.core.errors import RunError
 from uncle.recon.metrics_table import metric_rows
 from uncle.recon.noise_curves import incidence_angle, sensor_noise
 from uncle.recon.recording import RunFrames, encode_normals
 from uncle.recon.report import write_report
 from uncle.recon.report_charts import calibration_chart, confidence_chart, reliability_chart, reliability_curves
 from uncle.recon.run import RunDirectory
-from uncle.recon.storage import write_image, write_text
+from uncle.recon.core.files import write_image, write_text
 
 SECTIONS = ("Overview", "Mesh", "Camera", "Metrics", "Sensors", "Curves", "Time and memory", "Configuration")
 NASTY = '<script>alert(\'$x_1$ & "co")</script>'

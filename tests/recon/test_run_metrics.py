@@ -7,13 +7,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from uncle.recon.errors import DataError, RunError
-from uncle.recon.events import Progress
-from uncle.recon.mesh_io import Mesh
+from uncle.recon.core.errors import DataError, RunError
+from uncle.recon.core.events import Progress
+from uncle.recon.core.mesh import Mesh
 from uncle.recon.recording import RunFrames
 from uncle.recon.run import RunDirectory
 from uncle.recon.run_metrics import EvalSettings, evaluate_run, score_surface, to_plain, write_error_mesh
-from uncle.recon.trajectory import Trajectory
+from uncle.recon.core.trajectory import Trajectory
 from uncle.recon.visibility import Visibility
 
 QUICK = EvalSettings(samples=20_000, views=5, completeness_to="surface")

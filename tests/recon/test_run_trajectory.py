@@ -4,12 +4,12 @@ import time
 
 import numpy as np
 import pytest
-from uncle.recon.errors import DataError, RunError
+from uncle.recon.core.errors import DataError, RunError
 from uncle.recon.report_camera import camera_section
 from uncle.recon.run_metrics import EvalSettings, evaluate_run, to_plain
 from uncle.recon.run_trajectory import score_tracking, score_trajectory
 from uncle.recon.tracking_record import TrackedFrame, TrackingRecord
-from uncle.recon.trajectory import Trajectory
+from uncle.recon.core.trajectory import Trajectory
 
 LOST = (4, 5, 9)
 

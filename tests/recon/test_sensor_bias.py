@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 import torch
-from uncle.recon.camera import Camera
+from uncle.recon.core.camera import Camera
 from uncle.recon.config import UncertaintyConfig
 from uncle.recon.noise_features import FEATURES, noise_features, relative_spread
 from uncle.recon.sensor_bias import MIN_VIEWS, BiasTrial, SensorBias

@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 from matplotlib import colormaps
 from uncle.recon import offscreen, snapshot
-from uncle.recon.camera import Camera
-from uncle.recon.errors import ConfigError, DataError, DependencyError, RunError
-from uncle.recon.events import Note, Warn
-from uncle.recon.mesh_io import Mesh
+from uncle.recon.core.camera import Camera
+from uncle.recon.core.errors import ConfigError, DataError, DependencyError, RunError
+from uncle.recon.core.events import Note, Warn
+from uncle.recon.core.mesh import Mesh
 from uncle.recon.run import RunDirectory
 from uncle.recon.shading import Geometry, light_triangles
 from uncle.recon.snapshot import RENDERERS, draw_mesh, load_run_mesh, snapshot_views, surface_distance

@@ -8,7 +8,7 @@ import click
 import pytest
 from click.testing import CliRunner
 from uncle.cli import main as cli
-from uncle.recon import system
+from uncle.recon.core import system_check as system
 
 SCRIPT = Path(__file__).parents[2] / "recon" / "system.py"
 

@@ -1,7 +1,7 @@
 """Rows shared out to threads."""
 
 import pytest
-from uncle.recon.threads import share_out
+from uncle.recon.core.threads import share_out
 
 
 @pytest.mark.parametrize("count", [0, 1, 2, 7, 100])

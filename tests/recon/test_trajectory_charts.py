@@ -5,9 +5,9 @@ import numpy as np
 import pytest
 from uncle.recon import trajectory_charts
 from uncle.recon.camera_path import CameraPath
-from uncle.recon.errors import DataError
+from uncle.recon.core.errors import DataError
 from uncle.recon.tracking_record import TrackedFrame, TrackingRecord
-from uncle.recon.trajectory import Trajectory
+from uncle.recon.core.trajectory import Trajectory
 from uncle.recon.trajectory_charts import draw_camera_path, drift_chart, trajectory_chart
 
 TIMES = 100.0 + 0.5 * np.arange(20)

@@ -6,9 +6,9 @@ import numpy as np
 import open3d as o3d
 import pytest
 import torch
-from uncle.recon.errors import DataError, RunError
+from uncle.recon.core.errors import DataError, RunError
 from uncle.recon.run import RunDirectory
-from uncle.recon.surface import Surface
+from uncle.recon.core.mesh_raycaster import Surface
 from uncle.recon.visibility import Visibility, project_into, voxel_means
 
 

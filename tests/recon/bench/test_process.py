@@ -7,7 +7,7 @@ import threading
 
 import pytest
 from uncle.recon.bench import process
-from uncle.recon.errors import RunError
+from uncle.recon.core.errors import RunError
 
 
 def python(code):

@@ -6,8 +6,8 @@ from typing import NamedTuple
 
 import pytest
 from uncle.recon.bench.records import carry_out, duration
-from uncle.recon.errors import DataError, RunError
-from uncle.recon.events import Note, Warn
+from uncle.recon.core.errors import DataError, RunError
+from uncle.recon.core.events import Note, Warn
 
 
 class Job(NamedTuple):

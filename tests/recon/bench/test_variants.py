@@ -3,7 +3,7 @@
 import pytest
 from uncle.recon.bench.variants import GROUPS, METHOD_OF, UNWEIGHTED, choose_variants, variants_of_methods
 from uncle.recon.config import make_config
-from uncle.recon.errors import ConfigError
+from uncle.recon.core.errors import ConfigError
 
 
 def test_every_variant_is_made_of_settings_of_its_method():

@@ -6,7 +6,7 @@ import torch
 from torch.nn.functional import interpolate, max_pool2d, pad
 from uncle.recon.confidence.models import ConfidenceModels, save_network, shipped_sensors
 from uncle.recon.confidence.network import PARAMETERS, ConfidenceNetwork, confidence_image
-from uncle.recon.errors import ConfigError
+from uncle.recon.core.errors import ConfigError
 
 
 @pytest.fixture(scope="module")

@@ -7,8 +7,8 @@ from uncle.recon.confidence.models import ConfidenceModels, save_network
 from uncle.recon.confidence.network import ConfidenceNetwork
 from uncle.recon.confidence.weighting import LEAST, Confident
 from uncle.recon.config import make_config
-from uncle.recon.errors import ConfigError
-from uncle.recon.frame import Frame
+from uncle.recon.core.errors import ConfigError
+from uncle.recon.core.frame import Frame
 from uncle.recon.map_stage import map_run
 from uncle.recon.nice.config import NiceConfig, NiceTrackingConfig
 from uncle.recon.nice.views import Rays

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 import torch
-from uncle.recon.camera import Camera
+from uncle.recon.core.camera import Camera
 from uncle.recon.nice.config import NiceMappingConfig
 from uncle.recon.nice.frustum import in_frustum
 from uncle.recon.nice.keyframes import choose_window, mean_depth, overlapping

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 import torch
-from uncle.recon.errors import ConfigError
+from uncle.recon.core.errors import ConfigError
 from uncle.recon.nice.decoder_files import load_decoders, save_decoders
 from uncle.recon.nice.decoders import random_decoders
 

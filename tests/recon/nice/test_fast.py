@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import torch
 from torch.nn.functional import grid_sample
-from uncle.recon.camera import Camera
+from uncle.recon.core.camera import Camera
 from uncle.recon.nice import fast, kernels
 from uncle.recon.nice.config import NiceConfig, NiceTrackingConfig
 from uncle.recon.nice.decoders import color_decoder, fine_decoder, middle_decoder

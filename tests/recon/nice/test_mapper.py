@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 import torch
 from uncle.recon.config import make_config
-from uncle.recon.frame import Frame
+from uncle.recon.core.frame import Frame
 from uncle.recon.nice.system import NiceSystem
-from uncle.recon.tracking.motion import moved
+from uncle.recon.core.se3 import moved
 
 QUICK = [
     "nice.decoders=random", "nice_mapping.first_iterations=4", "nice_mapping.iterations=6", "nice_mapping.pixels=60",

@@ -8,14 +8,14 @@ import torch
 from uncle.recon import map_stage
 from uncle.recon.checkpoint import Checkpoint, load_tensors
 from uncle.recon.config import make_config
-from uncle.recon.errors import ConfigError, DataError
-from uncle.recon.events import Progress
+from uncle.recon.core.errors import ConfigError, DataError
+from uncle.recon.core.events import Progress
 from uncle.recon.map_stage import map_run
-from uncle.recon.mesh_io import Mesh
+from uncle.recon.core.mesh import Mesh
 from uncle.recon.mesh_stage import mesh_run
-from uncle.recon.surface import Surface
+from uncle.recon.core.mesh_raycaster import Surface
 from uncle.recon.tracking_record import TrackingRecord
-from uncle.recon.trajectory import Trajectory
+from uncle.recon.core.trajectory import Trajectory
 
 QUICK = [
     "nice.decoders=random", "nice_mapping.every=4", "nice_mapping.first_iterations=50", "nice_mapping.iterations=12",

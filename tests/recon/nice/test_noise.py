@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 import torch
-from uncle.recon.camera import Camera
+from uncle.recon.core.camera import Camera
 from uncle.recon.nice.noise import NoiseNet, gather_patches, noise_images
 
 

@@ -6,13 +6,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
-from uncle.recon.camera import Camera
+from uncle.recon.core.camera import Camera
 from uncle.recon.nice.config import NiceConfig, NiceTrackingConfig
 from uncle.recon.nice.objective import Picture, mapping_loss, tracking_loss
 from uncle.recon.nice.poses import predicted, tidy, to_matrix, to_seven
 from uncle.recon.nice.views import Rays
 from uncle.recon.nice.weighting import Laplace, Uniform
-from uncle.recon.tracking.motion import moved
+from uncle.recon.core.se3 import moved
 
 CAMERA = Camera(8, 6, 10.0, 10.0, 3.5, 2.5)
 CPU = torch.device("cpu")

@@ -5,7 +5,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 import torch
-from uncle.recon.errors import ConfigError, DataError
+from uncle.recon.core.errors import ConfigError, DataError
 from uncle.recon.pretrain.senfunet import SenfunetTraining, is_outlier, measure, senfunet_loss, train_senfunet
 from uncle.recon.pretrain.senfunet_scenes import Scene, collect_scene, load_scenes, save_scenes
 from uncle.recon.senfunet.models import SenfunetModel

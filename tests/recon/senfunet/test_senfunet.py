@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 import torch
 from torch.nn.functional import conv2d, conv3d, pad
-from uncle.recon.camera import Camera
-from uncle.recon.errors import ConfigError
+from uncle.recon.core.camera import Camera
+from uncle.recon.core.errors import ConfigError
 from uncle.recon.senfunet.blending import believed, fused_distance, weighting_inputs
 from uncle.recon.senfunet.bricks import brick_samples, inner_part
 from uncle.recon.senfunet.fuse import require_pair

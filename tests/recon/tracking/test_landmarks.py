@@ -3,14 +3,7 @@
 from dataclasses import replace
 
 import numpy as np
-from uncle.recon.tracking.landmarks import (
-    NONE,
-    Landmarks,
-    Sighting,
-    observations_of,
-    seen_at_least,
-    share_of_pixels,
-)
+from uncle.recon.tracking.landmarks import NONE, Landmarks, Sighting, observations_of, seen_at_least, share_of_pixels
 
 
 def sighting(index: int, *landmarks: int) -> Sighting:

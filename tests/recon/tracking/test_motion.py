@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from scipy.linalg import expm
-from uncle.recon.tracking.motion import angle, cross_matrix, inverse, motion_between, moved, transform
+from uncle.recon.core.se3 import angle, cross_matrix, inverse, motion_between, moved, transform
 
 RNG = np.random.default_rng(0)
 MOTIONS = RNG.uniform(-1, 1, (2, 5, 6))

@@ -2,13 +2,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from uncle.recon.tracking.bundle_adjustment import (
-    Observations,
-    adjust,
-    residuals,
-    robust_weights,
-)
-from uncle.recon.tracking.motion import inverse, moved, transform
+from uncle.recon.tracking.bundle_adjustment import Observations, adjust, residuals, robust_weights
+from uncle.recon.core.se3 import inverse, moved, transform
 from uncle.recon.tracking.placement import _cost, expectations, nearest, placed_again
 
 SPEED = np.array([0.02, -0.01, 0.005, 0.01, 0.02, -0.005])  # of a hand, a frame

@@ -3,9 +3,9 @@
 from dataclasses import replace
 
 import numpy as np
-from uncle.recon.camera import Camera
+from uncle.recon.core.camera import Camera
 from uncle.recon.tracking.bundle_adjustment import Observations, adjust
-from uncle.recon.tracking.motion import inverse, motion_between, moved
+from uncle.recon.core.se3 import inverse, motion_between, moved
 from uncle.recon.tracking.pose_edges import PoseEdges, adjoint, edges_among, linearise_edges
 
 CAMERA = Camera(320, 240, 200.0, 200.0, 160.0, 120.0)

@@ -5,9 +5,9 @@ import math
 import numpy as np
 import pytest
 import torch
-from uncle.recon.camera import Camera
+from uncle.recon.core.camera import Camera
 from uncle.recon.config import TrackingConfig, UncertaintyConfig
-from uncle.recon.frame import Frame
+from uncle.recon.core.frame import Frame
 from uncle.recon.noise_features import FEATURES
 from uncle.recon.tracking.local_features import LocalFeatures, no_features
 from uncle.recon.tracking.sightings import EDGE_SHARE, UNTAUGHT, prepare, readings_of, sight, surface_view, weigh

@@ -2,8 +2,8 @@
 
 import numpy as np
 import pytest
-from uncle.recon.camera import Camera
-from uncle.recon.tracking.motion import angle, inverse, motion_between, moved
+from uncle.recon.core.camera import Camera
+from uncle.recon.core.se3 import angle, inverse, motion_between, moved
 from uncle.recon.tracking.pose_estimation import minimise
 from uncle.recon.tracking.view_alignment import SurfaceView, align_views, view_residuals, view_term
 

@@ -5,7 +5,7 @@ import pytest
 import torch
 from uncle.recon.checkpoint import Checkpoint
 from uncle.recon.config import make_config
-from uncle.recon.events import Progress
+from uncle.recon.core.events import Progress
 from uncle.recon.map_stage import load_field, map_run
 from uncle.recon.mesh import make_mesh
 from uncle.recon.online import map_online

@@ -6,7 +6,7 @@ import numpy as np
 
 from .camera import Camera
 from .errors import DataError
-from .mesh_io import Mesh
+from .mesh import Mesh
 
 
 class Surface:

@@ -9,7 +9,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from .errors import DataError
-from .storage import write_text
+from .files import write_text
 
 
 @dataclass(frozen=True)

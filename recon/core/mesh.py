@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from .errors import DataError
-from .storage import atomic_path
+from .files import atomic_path
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,1 @@
+"""Types and tools that every room shares. No algorithm, no run directory."""
