@@ -14,7 +14,7 @@ import numpy as np
 import torch
 from uncle.recon.bench.tables import markdown_table
 from uncle.recon.checkpoint import load_tensors
-from uncle.recon.config import make_config
+from uncle.recon.core.config.map_config import make_config
 from uncle.recon.core.device import choose_device
 from uncle.recon.nice.mapper import Optimizer
 from uncle.recon.nice.poses import to_matrix, to_seven

@@ -60,7 +60,7 @@ def command(
     from ..recon.bench.paper_tables import DETAILS
     from ..recon.bench.plan import Choice
     from ..recon.bench.variants import variants_of_methods
-    from ..recon.config import make_config
+    from ..recon.core.config.map_config import make_config
 
     chosen = methods or tuple(known_methods())
     variants = tuple(variants_of_methods(ablation))

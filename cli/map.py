@@ -48,7 +48,7 @@ def command(
     uncle map --method tsdf --set fusion.voxel_size_m=0.01
     uncle map --prior yesterday/run
     """
-    from ..recon.config import make_config
+    from ..recon.core.config.map_config import make_config
     from ..recon.core.events import Note
     from ..recon.map_stage import map_run
     from ..recon.noise_prior import NoisePrior

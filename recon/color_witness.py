@@ -15,7 +15,7 @@ from torch import Tensor
 
 from .core.camera import Camera
 from .color_depth import FEATURES, MIN_SOURCES, ColorDepth, choose_sources, depth_by_color, disagreement
-from .config import ColorConfig, UncertaintyConfig
+from .core.config.map_config import ColorConfig, UncertaintyConfig
 from .core.events import OnEvent, ignore, track_progress
 from .core.frame import Frame
 from .map_surface import MapSurface

@@ -13,7 +13,7 @@ from typing import Any
 import torch
 from torch import Tensor, nn
 
-from .config import FieldConfig
+from .core.config.map_config import FieldConfig
 from .fusion import FusionVolume
 from .grid import ROWS, SparseGrid, unique_blocks
 from .interpolation import weighted_rows

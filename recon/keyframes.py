@@ -6,7 +6,7 @@ import torch
 from torch import Tensor
 
 from .core.camera import Camera
-from .config import KeyframeConfig
+from .core.config.map_config import KeyframeConfig
 from .core.frame import Frame
 
 _PROBES = 400  # points of a frame that are looked for in earlier keyframes

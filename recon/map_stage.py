@@ -12,7 +12,7 @@ import numpy as np
 import torch
 
 from .checkpoint import Checkpoint, load_tensors, save_tensors
-from .config import MapConfig, to_toml
+from .core.config.map_config import MapConfig, to_toml
 from .core.device import choose_device
 from .core.errors import ConfigError, RunError
 from .core.events import Note, OnEvent, Warn, ignore

@@ -10,7 +10,7 @@ from torch import Tensor
 
 from .core.camera import Camera
 from .color_witness import ColorWitness
-from .config import MapConfig
+from .core.config.map_config import MapConfig
 from .core.frame import Frame
 from .fusion import FusionVolume
 from .fusion_log import FusionLog

@@ -12,7 +12,7 @@ import torch
 
 from .checkpoint import Checkpoint, save_tensors
 from .confidence.models import ConfidenceModels
-from .config import MapConfig
+from .core.config.map_config import MapConfig
 from .core.errors import DataError
 from .core.events import OnEvent, track_progress
 from .field import NeuralField

@@ -12,7 +12,7 @@ from typing import Any
 import torch
 
 from .checkpoint import load_versioned, save_tensors
-from .config import UncertaintyConfig
+from .core.config.map_config import UncertaintyConfig
 from .core.errors import ConfigError, RunError
 from .noise_features import FEATURES
 from .run import RunDirectory

@@ -9,7 +9,7 @@ import numpy as np
 from torch import Tensor
 
 from .checkpoint import Checkpoint
-from .config import MapConfig
+from .core.config.map_config import MapConfig
 from .core.events import Note, OnEvent, Progress, ignore
 from .field import NeuralField
 from .core.frame import Frame

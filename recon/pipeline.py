@@ -13,7 +13,7 @@ from torch import Tensor
 
 from .checkpoint import Checkpoint
 from .color_witness import MAX_REGISTRATION_PX
-from .config import MapConfig
+from .core.config.map_config import MapConfig
 from .core.device import choose_device
 from .core.errors import DataError
 from .core.events import Note, OnEvent, Progress, ignore

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 from torch import Tensor
 
-from .config import FusionConfig
+from .core.config.map_config import FusionConfig
 from .fusion import FreeSpace
 
 WEIGHT_SCALE_M = 0.01  # a reading with this beta weighs 1

@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 
 from .core.adam import Adam
-from .config import FieldConfig
+from .core.config.map_config import FieldConfig
 from .core.events import OnEvent, ignore, track_progress
 from .field import NeuralField
 from .losses import laplace_nll

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import torch
 
-from .config import FieldConfig, MapConfig
+from .core.config.map_config import FieldConfig, MapConfig
 from .core.events import OnEvent, ignore
 from .field import NeuralField
 from .mapper import Mapper

@@ -17,7 +17,7 @@ from torch import Tensor
 
 from .core.camera import Camera
 from .color_depth import disagreement
-from .config import UncertaintyConfig
+from .core.config.map_config import UncertaintyConfig
 from .noise_features import FEATURES, relative_spread
 from .uncertainty import PixelNetwork, Residuals
 

@@ -11,7 +11,7 @@ from torch import Tensor
 
 from .core.camera import Camera
 from .color_witness import ColorWitness
-from .config import UncertaintyConfig
+from .core.config.map_config import UncertaintyConfig
 from .core.frame import Frame
 from .keyframes import RayStore
 from .sensor_bias import CONFIRMED, BiasTrial, SensorBias

@@ -6,7 +6,7 @@ import numpy as np
 import torch
 
 from .core.camera import Camera
-from .config import MapConfig
+from .core.config.map_config import MapConfig
 from .core.events import OnEvent, Progress, ignore
 from .field import NeuralField
 from .grid import BLOCK, ROWS, SparseGrid

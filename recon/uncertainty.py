@@ -13,7 +13,7 @@ from torch import Tensor, nn
 from torch.nn.functional import linear, softplus
 
 from .core.adam import Adam
-from .config import UncertaintyConfig
+from .core.config.map_config import UncertaintyConfig
 from .core.errors import ConfigError
 from .losses import interval_loss, laplace_nll
 from .noise_features import FEATURES

@@ -8,7 +8,7 @@ from pathlib import Path
 import click
 import pytest
 from uncle.cli.main import COMMANDS, main
-from uncle.recon.config import known_keys
+from uncle.recon.core.config.map_config import known_keys
 from uncle.recon.run import FrameRecord, Manifest, RunDirectory, StageRecord
 
 ROOT = Path(__file__).parents[1]

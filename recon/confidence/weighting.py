@@ -6,7 +6,7 @@ import torch
 from torch import Tensor
 
 from ..core.frame import Frame
-from ..nice.config import NiceConfig, NiceTrackingConfig
+from ..core.config.nice import NiceConfig, NiceTrackingConfig
 from ..nice.views import Rays
 from ..nice.weighting import Normals, Uniform
 from .models import ConfidenceModels

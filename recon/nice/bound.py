@@ -11,7 +11,7 @@ from torch import Tensor
 from ..core.camera import Camera
 from ..core.errors import ConfigError, DataError
 from ..recording import RunFrames
-from .config import NiceConfig
+from ..core.config.nice import NiceConfig
 
 VIEWS = 100  # asked at most
 STRIDE = 8  # pixels

@@ -10,8 +10,8 @@ import torch
 from torch import Tensor
 
 from ..core.camera import Camera
-from ..config import MapConfig
-from .config import NiceMappingConfig
+from ..core.config.map_config import MapConfig
+from ..core.config.nice import NiceMappingConfig
 from .frustum import in_frustum
 from .keyframes import choose_window, overlapping
 from .objective import Evaluate, look, mapping_loss

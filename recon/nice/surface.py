@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 
 from ..core.camera import Camera
-from ..config import MapConfig
+from ..core.config.map_config import MapConfig
 from ..field import ACTIVE_VOXELS, NeuralField
 from ..grid import BLOCK, ROWS, SparseGrid, unique_blocks
 from .objective import Evaluate

@@ -8,7 +8,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from ..config import MapConfig
+from ..core.config.map_config import MapConfig
 from ..core.events import OnEvent, track_progress
 from ..field import NeuralField
 from ..core.frame import Frame

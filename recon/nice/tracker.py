@@ -7,7 +7,7 @@ import torch
 from torch import Tensor
 
 from ..core.camera import Camera
-from ..config import MapConfig
+from ..core.config.map_config import MapConfig
 from ..online import Found
 from .objective import Evaluate, look, tracking_loss
 from .poses import predicted, tidy, to_matrix, to_seven

@@ -15,7 +15,7 @@ from torch import Tensor, nn
 from ..core.camera import Camera
 from ..confidence.models import ConfidenceModels
 from ..core.frame import Frame
-from .config import NiceConfig, NiceTrackingConfig
+from ..core.config.nice import NiceConfig, NiceTrackingConfig
 from .noise import COLOR_INPUTS, PATCH, NoiseNet, noise_images
 from .scene import Stage
 from .views import Rays

@@ -6,7 +6,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from ..config import MapConfig
+from ..core.config.map_config import MapConfig
 from ..core.errors import ConfigError
 from ..core.events import OnEvent, Progress, Warn, ignore, track_progress
 from ..field import NeuralField

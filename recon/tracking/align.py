@@ -12,7 +12,7 @@ import numpy as np
 import torch
 
 from ..core.camera import Camera
-from ..config import TrackingConfig
+from ..core.config.map_config import TrackingConfig
 from ..core.frame import Frame
 from ..fusion import FusionVolume
 from ..tracking_record import Status, TrackedFrame, TrackingRecord

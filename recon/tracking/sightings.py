@@ -12,7 +12,7 @@ import torch
 from torch import Tensor
 
 from ..core.camera import Camera
-from ..config import TrackingConfig
+from ..core.config.map_config import TrackingConfig
 from ..core.frame import Frame
 from ..uncertainty import NoiseModel
 from .landmarks import NONE, Sighting

@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 
 from ..core.camera import Camera
-from ..config import FieldConfig
+from ..core.config.map_config import FieldConfig
 from ..core.events import OnEvent, ignore, track_progress
 from ..field import ACTIVE_VOXELS, NeuralField
 from ..grid import ROWS, SparseGrid

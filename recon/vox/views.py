@@ -11,7 +11,7 @@ from torch import Tensor
 
 from ..core.camera import Camera
 from ..core.frame import Frame
-from .config import VoxConfig
+from ..core.config.vox import VoxConfig
 from .losses import Targets
 
 

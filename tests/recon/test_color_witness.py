@@ -9,7 +9,7 @@ from uncle.recon import pipeline
 from uncle.recon.checkpoint import Checkpoint
 from uncle.recon.color_depth import MIN_SOURCES
 from uncle.recon.color_witness import FULL_SIZE_PIXELS, ColorWitness
-from uncle.recon.config import ColorConfig, UncertaintyConfig, make_config
+from uncle.recon.core.config.map_config import ColorConfig, UncertaintyConfig, make_config
 from uncle.recon.core.events import Progress
 from uncle.recon.core.frame import Frame
 from uncle.recon.mapper import Mapper

@@ -4,7 +4,7 @@ import tomllib
 
 import pytest
 from pydantic import BaseModel
-from uncle.recon.config import PRESETS, MapConfig, known_keys, make_config, to_toml
+from uncle.recon.core.config.map_config import PRESETS, MapConfig, known_keys, make_config, to_toml
 from uncle.recon.core.errors import ConfigError
 
 

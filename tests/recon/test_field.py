@@ -4,7 +4,7 @@ import pytest
 import torch
 from uncle.recon.core.camera import Camera
 from uncle.recon.checkpoint import load_tensors, save_tensors
-from uncle.recon.config import FieldConfig
+from uncle.recon.core.config.map_config import FieldConfig
 from uncle.recon.field import ACTIVE_VOXELS, NeuralField
 from uncle.recon.fusion import FusionVolume
 from uncle.recon.grid import SparseGrid

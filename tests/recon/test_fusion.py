@@ -5,7 +5,7 @@ from collections.abc import Callable
 import numpy as np
 import torch
 from uncle.recon.core.camera import Camera
-from uncle.recon.config import make_config
+from uncle.recon.core.config.map_config import make_config
 from uncle.recon.fusion import MAX_SIGMA_M, MIN_SIGMA_M, SHARED_ERROR, FreeSpace, FusionVolume
 from uncle.recon.grid import ROWS, SparseGrid
 from uncle.recon.mapper import Mapper

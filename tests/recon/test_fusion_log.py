@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 import torch
-from uncle.recon.config import UncertaintyConfig
+from uncle.recon.core.config.map_config import UncertaintyConfig
 from uncle.recon.fusion_log import LEVER_M, FusionLog
 from uncle.recon.noise_features import FEATURES
 from uncle.recon.core.se3 import moved

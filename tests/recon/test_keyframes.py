@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 import torch
-from uncle.recon.config import KeyframeConfig
+from uncle.recon.core.config.map_config import KeyframeConfig
 from uncle.recon.core.frame import Frame
 from uncle.recon.keyframes import KeyframeSelector, RayStore, mean_depth
 

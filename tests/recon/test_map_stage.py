@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from uncle.recon import map_stage
 from uncle.recon.checkpoint import Checkpoint
-from uncle.recon.config import MapConfig, make_config
+from uncle.recon.core.config.map_config import MapConfig, make_config
 from uncle.recon.core.errors import ConfigError, DataError, RunError
 from uncle.recon.core.events import Note, Progress, Warn
 from uncle.recon.map_stage import load_field, map_run

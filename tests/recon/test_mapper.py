@@ -3,7 +3,7 @@
 import pytest
 import torch
 from uncle.recon.core.camera import Camera
-from uncle.recon.config import make_config
+from uncle.recon.core.config.map_config import make_config
 from uncle.recon.core.frame import Frame
 from uncle.recon.mapper import Mapper
 from uncle.recon.noise_features import FEATURES

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import torch
 from uncle.recon.core.camera import Camera
-from uncle.recon.config import FieldConfig
+from uncle.recon.core.config.map_config import FieldConfig
 from uncle.recon.core.errors import DataError
 from uncle.recon.field import NeuralField
 from uncle.recon.grid import SparseGrid

@@ -10,7 +10,7 @@ import pytest
 import torch
 from uncle.recon import map_stage, noise_prior
 from uncle.recon.checkpoint import Checkpoint, load_tensors, save_tensors
-from uncle.recon.config import MapConfig, UncertaintyConfig, make_config
+from uncle.recon.core.config.map_config import MapConfig, UncertaintyConfig, make_config
 from uncle.recon.core.errors import ConfigError, RunError
 from uncle.recon.core.events import Progress, Warn
 from uncle.recon.map_stage import map_run

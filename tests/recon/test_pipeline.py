@@ -6,7 +6,7 @@ import pytest
 import torch
 from uncle.recon import pipeline
 from uncle.recon.checkpoint import Checkpoint
-from uncle.recon.config import make_config
+from uncle.recon.core.config.map_config import make_config
 from uncle.recon.pipeline import reconstruct
 from uncle.recon.progression import Progression
 from uncle.recon.recording import RunFrames

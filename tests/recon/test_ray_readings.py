@@ -3,7 +3,7 @@
 from types import SimpleNamespace
 
 import torch
-from uncle.recon.config import UncertaintyConfig
+from uncle.recon.core.config.map_config import UncertaintyConfig
 from uncle.recon.keyframes import RayStore
 from uncle.recon.noise_features import FEATURES
 from uncle.recon.ray_readings import RayReadings

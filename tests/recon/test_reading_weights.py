@@ -1,7 +1,7 @@
 """What readings weigh: by beta, by their image, by their sensor, and as colour."""
 
 import torch
-from uncle.recon.config import FusionConfig
+from uncle.recon.core.config.map_config import FusionConfig
 from uncle.recon.reading_weights import COLOR_FREE_SPACE, DOUBT_BETAS, WEIGHT_FLOOR, ReadingWeights, median_weight
 
 VALID = torch.tensor([[True, True, True, False]])

@@ -7,7 +7,7 @@ import pytest
 import torch
 from scipy.spatial import cKDTree
 from uncle.recon import reading_worth
-from uncle.recon.config import FusionConfig
+from uncle.recon.core.config.map_config import FusionConfig
 from uncle.recon.reading_weights import ReadingWeights
 from uncle.recon.reading_worth import UNTESTED, Statements, statements, worth_of_readings
 

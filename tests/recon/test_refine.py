@@ -6,7 +6,7 @@ import pytest
 import torch
 from uncle.recon import refine as refinement
 from uncle.recon.core.camera import Camera
-from uncle.recon.config import FieldConfig
+from uncle.recon.core.config.map_config import FieldConfig
 from uncle.recon.core.events import Progress
 from uncle.recon.field import NeuralField
 from uncle.recon.fusion import FusionVolume

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import torch
 from uncle.recon.core.camera import Camera
-from uncle.recon.config import UncertaintyConfig
+from uncle.recon.core.config.map_config import UncertaintyConfig
 from uncle.recon.noise_features import FEATURES, noise_features, relative_spread
 from uncle.recon.sensor_bias import MIN_VIEWS, BiasTrial, SensorBias
 from uncle.recon.uncertainty import Residuals

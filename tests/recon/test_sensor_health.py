@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import torch
 from uncle.recon.core.camera import Camera
-from uncle.recon.config import HealthConfig
+from uncle.recon.core.config.map_config import HealthConfig
 from uncle.recon.core.frame import Frame
 from uncle.recon.sensor_health import MIN_HISTORY, Comparison, SensorHealth, compare_depths, image_motion, is_unusual, repeats
 

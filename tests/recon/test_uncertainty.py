@@ -4,7 +4,7 @@ import math
 
 import pytest
 import torch
-from uncle.recon.config import UncertaintyConfig, make_config
+from uncle.recon.core.config.map_config import UncertaintyConfig, make_config
 from uncle.recon.core.errors import ConfigError
 from uncle.recon.noise_features import FEATURES
 from uncle.recon.uncertainty import PIXELS, START_BETA_M, NoiseModel, Residuals, seen_features

@@ -7,7 +7,7 @@ import pytest
 from uncle.recon.bench import methods
 from uncle.recon.bench.plan import Choice, Job, Scene, is_done, plan, scene_name, synth_arguments, with_timing
 from uncle.recon.bench.variants import variants_of_methods
-from uncle.recon.config import PRESETS
+from uncle.recon.core.config.map_config import PRESETS
 from uncle.recon.core.errors import ConfigError
 
 ROOM = Scene("room", Path("room"), "senfunet", ("sl", "sgm", "psmnet"), True, True, 130, "abc")

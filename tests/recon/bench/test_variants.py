@@ -2,7 +2,7 @@
 
 import pytest
 from uncle.recon.bench.variants import GROUPS, METHOD_OF, UNWEIGHTED, choose_variants, variants_of_methods
-from uncle.recon.config import make_config
+from uncle.recon.core.config.map_config import make_config
 from uncle.recon.core.errors import ConfigError
 
 

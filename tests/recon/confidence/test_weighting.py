@@ -6,11 +6,11 @@ import torch
 from uncle.recon.confidence.models import ConfidenceModels, save_network
 from uncle.recon.confidence.network import ConfidenceNetwork
 from uncle.recon.confidence.weighting import LEAST, Confident
-from uncle.recon.config import make_config
+from uncle.recon.core.config.map_config import make_config
 from uncle.recon.core.errors import ConfigError
 from uncle.recon.core.frame import Frame
 from uncle.recon.map_stage import map_run
-from uncle.recon.nice.config import NiceConfig, NiceTrackingConfig
+from uncle.recon.core.config.nice import NiceConfig, NiceTrackingConfig
 from uncle.recon.nice.views import Rays
 from uncle.recon.nice.weighting import Uniform
 

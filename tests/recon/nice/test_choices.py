@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import torch
 from uncle.recon.core.camera import Camera
-from uncle.recon.nice.config import NiceMappingConfig
+from uncle.recon.core.config.nice import NiceMappingConfig
 from uncle.recon.nice.frustum import in_frustum
 from uncle.recon.nice.keyframes import choose_window, mean_depth, overlapping
 from uncle.recon.nice.mapper import learning_rates, schedule

@@ -6,7 +6,7 @@ import torch
 from torch.nn.functional import grid_sample
 from uncle.recon.core.camera import Camera
 from uncle.recon.nice import fast, kernels
-from uncle.recon.nice.config import NiceConfig, NiceTrackingConfig
+from uncle.recon.core.config.nice import NiceConfig, NiceTrackingConfig
 from uncle.recon.nice.decoders import color_decoder, fine_decoder, middle_decoder
 from uncle.recon.nice.fast import FastEvaluate
 from uncle.recon.nice.frozen import FrozenDecoder

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 import torch
-from uncle.recon.config import make_config
+from uncle.recon.core.config.map_config import make_config
 from uncle.recon.core.frame import Frame
 from uncle.recon.nice.system import NiceSystem
 from uncle.recon.core.se3 import moved

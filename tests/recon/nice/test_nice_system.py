@@ -7,7 +7,7 @@ import pytest
 import torch
 from uncle.recon import map_stage
 from uncle.recon.checkpoint import Checkpoint, load_tensors
-from uncle.recon.config import make_config
+from uncle.recon.core.config.map_config import make_config
 from uncle.recon.core.errors import ConfigError, DataError
 from uncle.recon.core.events import Progress
 from uncle.recon.map_stage import map_run

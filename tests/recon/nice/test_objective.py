@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import torch
 from uncle.recon.core.camera import Camera
-from uncle.recon.nice.config import NiceConfig, NiceTrackingConfig
+from uncle.recon.core.config.nice import NiceConfig, NiceTrackingConfig
 from uncle.recon.nice.objective import Picture, mapping_loss, tracking_loss
 from uncle.recon.nice.poses import predicted, tidy, to_matrix, to_seven
 from uncle.recon.nice.views import Rays

@@ -16,7 +16,7 @@ from uncle.datasets.synth.room import furnished_room
 from uncle.recon import map_stage
 from uncle.recon.core.camera import Camera
 from uncle.recon.checkpoint import Checkpoint
-from uncle.recon.config import make_config
+from uncle.recon.core.config.map_config import make_config
 from uncle.recon.core.errors import DataError
 from uncle.recon.core.events import Progress, Warn
 from uncle.recon.core.normals import normals, smooth_depth

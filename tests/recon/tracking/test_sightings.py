@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 from uncle.recon.core.camera import Camera
-from uncle.recon.config import TrackingConfig, UncertaintyConfig
+from uncle.recon.core.config.map_config import TrackingConfig, UncertaintyConfig
 from uncle.recon.core.frame import Frame
 from uncle.recon.noise_features import FEATURES
 from uncle.recon.tracking.local_features import LocalFeatures, no_features

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pytest
 import torch
-from uncle.recon.config import TrackingConfig
+from uncle.recon.core.config.map_config import TrackingConfig
 from uncle.recon.core.normals import normals, smooth_depth
 from uncle.recon.core.frame import Frame
 from uncle.recon.fusion import FusionVolume

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import pytest
 import torch
 from torch import Tensor
-from uncle.recon.vox.config import VoxConfig
+from uncle.recon.core.config.vox import VoxConfig
 from uncle.recon.vox.losses import Targets
 from uncle.recon.vox.mapping import hit_alone, sample_rays
 from uncle.recon.vox.model import VoxModel

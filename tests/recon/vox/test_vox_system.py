@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import torch
 from uncle.recon.checkpoint import Checkpoint
-from uncle.recon.config import make_config
+from uncle.recon.core.config.map_config import make_config
 from uncle.recon.core.events import Progress
 from uncle.recon.map_stage import load_field, map_run
 from uncle.recon.mesh import make_mesh

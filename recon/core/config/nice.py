@@ -6,7 +6,7 @@ from typing import Any, Literal
 
 from pydantic import Field
 
-from ..strict import Strict
+from .base import Strict
 
 
 class NiceConfig(Strict):

@@ -8,15 +8,15 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, Field, ValidationError
 
-from .confidence.config import ConfidenceConfig
-from .core.errors import ConfigError
-from .nice.config import PRESETS as NICE_PRESETS
-from .nice.config import NiceConfig, NiceMappingConfig, NiceTrackingConfig
-from .senfunet.config import PRESET as SENFUNET_PRESET
-from .senfunet.config import SenfunetConfig
-from .strict import Strict
-from .vox.config import PRESET as VOX_PRESET
-from .vox.config import VoxConfig
+from .confidence import ConfidenceConfig
+from ..errors import ConfigError
+from .nice import PRESETS as NICE_PRESETS
+from .nice import NiceConfig, NiceMappingConfig, NiceTrackingConfig
+from .senfunet import PRESET as SENFUNET_PRESET
+from .senfunet import SenfunetConfig
+from .base import Strict
+from .vox import PRESET as VOX_PRESET
+from .vox import VoxConfig
 
 
 class FusionConfig(Strict):

@@ -1,0 +1,1 @@
+"""Every setting, as small frozen models; presets by method."""
