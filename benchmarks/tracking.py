@@ -19,7 +19,7 @@ from uncle.recon.bench.tables import cell, markdown_table, ratio
 from uncle.recon.core.errors import DataError, RunError, UncleError
 from uncle.recon.tracking_record import TrackingRecord
 from uncle.recon.core.trajectory import Trajectory
-from uncle.recon.trajectory_metrics import evaluate_trajectory
+from uncle.recon.evaluation.trajectory_metrics import evaluate_trajectory
 
 BASELINE = "open3d"
 SYSTEMS = ("uncle", BASELINE, "open3d-hybrid", "given")  # ours, Open3D's SLAM twice, ours with the poses of the data

@@ -11,10 +11,10 @@ from .console import listener, print_json, print_table
 from .options import json_option, run_option, seed_option
 
 if TYPE_CHECKING:
-    from ..recon.camera_path import CameraPath
-    from ..recon.color_metrics import HeldOutColor
-    from ..recon.depth_metrics import HeldOutDepth
-    from ..recon.run_metrics import EvalSettings, RunMetrics, SurfaceMetrics
+    from ..recon.evaluation.trajectory_pair import CameraPath
+    from ..recon.evaluation.color_metrics import HeldOutColor
+    from ..recon.evaluation.depth_metrics import HeldOutDepth
+    from ..recon.evaluation.run_metrics import EvalSettings, RunMetrics, SurfaceMetrics
 
 HEADER = ("Metric", "Value", "Unit")
 Rows = list[tuple[str, str, str]]
@@ -85,7 +85,7 @@ def command(
         return
     if mesh is not None and plot is not None:
         raise click.UsageError("--plot goes with trajectories or a run; for pictures of a mesh see `uncle snapshot`")
-    from ..recon.run_metrics import EvalSettings
+    from ..recon.evaluation.run_metrics import EvalSettings
 
     thresholds = tuple(dict.fromkeys(options.pop("thresholds")))
     settings = EvalSettings(thresholds_m=thresholds, **options)
@@ -103,9 +103,9 @@ def _are_trajectories(first: Path, second: Path) -> bool:
 
 
 def _evaluate_trajectory(ctx: click.Context, estimate: Path, reference: Path, plot: Path | None, as_json: bool) -> None:
-    from ..recon.camera_path import CameraPath
-    from ..recon.run_metrics import to_plain
-    from ..recon.trajectory_metrics import evaluate_trajectory
+    from ..recon.evaluation.trajectory_pair import CameraPath
+    from ..recon.evaluation.run_metrics import to_plain
+    from ..recon.evaluation.trajectory_metrics import evaluate_trajectory
     from ..recon.trajectory_table import trajectory_rows
 
     path = CameraPath.of_files(estimate, reference)
@@ -132,8 +132,8 @@ def _evaluate_mesh(
 ) -> None:
     from ..recon.core.mesh import Mesh
     from ..recon.run import RunDirectory
-    from ..recon.run_metrics import score_surface, to_plain, write_error_mesh
-    from ..recon.visibility import Visibility
+    from ..recon.evaluation.run_metrics import score_surface, to_plain, write_error_mesh
+    from ..recon.evaluation.visibility import Visibility
 
     mesh, reference = Mesh.load(mesh_path), Mesh.load(gt_path)
     visibility = Visibility.of_run(RunDirectory(cull)) if cull is not None else None
@@ -158,12 +158,12 @@ def _evaluate_run(
     plot: Path | None,
     as_json: bool,
 ) -> None:
-    from ..recon.camera_path import CameraPath
+    from ..recon.evaluation.trajectory_pair import CameraPath
     from ..recon.core.errors import DataError
     from ..recon.core.events import Warn
     from ..recon.core.mesh import Mesh
     from ..recon.run import RunDirectory
-    from ..recon.run_metrics import evaluate_run, load_reference, to_plain, write_error_mesh
+    from ..recon.evaluation.run_metrics import evaluate_run, load_reference, to_plain, write_error_mesh
 
     run = RunDirectory(run_path)
     metrics = evaluate_run(run, settings, listener(ctx))
@@ -183,7 +183,7 @@ def _evaluate_run(
 
 
 def _print_run(metrics: RunMetrics) -> None:
-    from ..recon.tracking_metrics import describe_lost
+    from ..recon.evaluation.tracking_metrics import describe_lost
     from ..recon.trajectory_table import tracking_rows, trajectory_rows
     from ..recon.uncertainty_table import uncertainty_rows
 

@@ -34,9 +34,9 @@ def command(
     """
     from ..recon.core.events import Note
     from ..recon.run import RunDirectory
-    from ..recon.run_metrics import to_plain
+    from ..recon.evaluation.run_metrics import to_plain
     from ..recon.uncertainty_stage import uncertainty_run
-    from ..recon.uncertainty_summary import summary_table
+    from ..recon.evaluation.sensor_summary import summary_table
 
     run, say = RunDirectory(run_path), listener(ctx)
     found = uncertainty_run(run, out or run.snapshots_path, sensors, frame, on_event=say)

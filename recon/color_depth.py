@@ -17,7 +17,7 @@ import numpy as np
 
 from .core.camera import Camera
 from .photo_match import GreyView, agreement_volume, texture
-from .visibility import project_into
+from .evaluation.visibility import project_into
 
 SOURCES = 6
 MIN_SOURCES = 2

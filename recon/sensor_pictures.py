@@ -14,7 +14,7 @@ from .core.events import OnEvent, Warn, ignore
 from .recording import RunFrames
 from .run import RunDirectory
 from .core.files import write_bytes
-from .visibility import GROUND_TRUTH_SENSOR
+from .evaluation.visibility import GROUND_TRUTH_SENSOR
 
 _ROWS = 3
 

@@ -8,15 +8,15 @@ from pathlib import Path
 
 from .core.errors import ConfigError, DataError
 from .core.events import OnEvent, Warn, ignore
-from .noise_curves import collect_readings, noise_of
+from .evaluation.noise_curves import collect_readings, noise_of
 from .recording import RunFrames
 from .report_charts import calibration_chart, noise_chart, reliability_chart
 from .run import RunDirectory
-from .run_metrics import score_uncertainty, to_plain
+from .evaluation.run_metrics import score_uncertainty, to_plain
 from .sensor_pictures import draw_sensors, estimated_sensors
 from .core.files import write_bytes
-from .uncertainty_summary import SensorUncertainty, standing_of, summarise
-from .visibility import GROUND_TRUTH_SENSOR
+from .evaluation.sensor_summary import SensorUncertainty, standing_of, summarise
+from .evaluation.visibility import GROUND_TRUTH_SENSOR
 
 
 @dataclass(frozen=True)

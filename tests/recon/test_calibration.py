@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from scipy import stats
-from uncle.recon.calibration import depth_only_beta, evaluate_uncertainty, sparsification
+from uncle.recon.evaluation.uncertainty_calibration import depth_only_beta, evaluate_uncertainty, sparsification
 
 COUNT = 200_000
 

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from uncle.recon.color_metrics import MIN_SQUARE, held_out_color
+from uncle.recon.evaluation.color_metrics import MIN_SQUARE, held_out_color
 from uncle.recon.core.errors import DataError
 from uncle.recon.core.mesh import Mesh
 

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from scipy import stats
-from uncle.recon.confidence_metrics import MEDIAN_IN_SIGMAS, evaluate_confidence, score_confidence
+from uncle.recon.evaluation.vertex_sigma_metrics import MEDIAN_IN_SIGMAS, evaluate_confidence, score_confidence
 from uncle.recon.core.errors import DataError
 from uncle.recon.core.mesh import Mesh
 

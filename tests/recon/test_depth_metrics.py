@@ -2,10 +2,10 @@
 
 import numpy as np
 import pytest
-from uncle.recon.depth_metrics import PAPER_CAMERA, ViewSettings, centre_box, held_out_depth, look_at, novel_view_depth, sample_views
+from uncle.recon.evaluation.depth_metrics import PAPER_CAMERA, ViewSettings, centre_box, held_out_depth, look_at, novel_view_depth, sample_views
 from uncle.recon.core.errors import DataError
 from uncle.recon.core.mesh import Mesh
-from uncle.recon.mesh_metrics import near_to
+from uncle.recon.evaluation.mesh_metrics import near_to
 from uncle.recon.core.mesh_raycaster import Surface, sample_surface
 
 VIEWS = ViewSettings(views=20)

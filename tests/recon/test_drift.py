@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
-from uncle.recon.drift import measure_drift, rotation_angles
+from uncle.recon.evaluation.drift import measure_drift, rotation_angles
 
 
 def straight(count: int = 101, step_m: float = 0.05) -> np.ndarray:

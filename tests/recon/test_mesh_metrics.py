@@ -6,7 +6,7 @@ import open3d as o3d
 import pytest
 from uncle.recon.core.errors import DataError
 from uncle.recon.core.mesh import Mesh
-from uncle.recon.mesh_metrics import align_by_icp, color_by_distance, evaluate_mesh, moved, nearest_distance, score_at, standard_distances
+from uncle.recon.evaluation.mesh_metrics import align_by_icp, color_by_distance, evaluate_mesh, moved, nearest_distance, score_at, standard_distances
 from uncle.recon.core.mesh_raycaster import Surface, sample_surface
 
 EMPTY = Mesh(np.zeros((0, 3), dtype="float32"), np.zeros((0, 3), dtype="int32"))

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from uncle.recon.core.errors import RunError
 from uncle.recon.metrics_table import metric_rows
-from uncle.recon.noise_curves import incidence_angle, sensor_noise
+from uncle.recon.evaluation.noise_curves import incidence_angle, sensor_noise
 from uncle.recon.recording import RunFrames, encode_normals
 from uncle.recon.report import write_report
 from uncle.recon.report_charts import calibration_chart, confidence_chart, reliability_chart, reliability_curves

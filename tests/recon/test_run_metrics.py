@@ -12,9 +12,9 @@ from uncle.recon.core.events import Progress
 from uncle.recon.core.mesh import Mesh
 from uncle.recon.recording import RunFrames
 from uncle.recon.run import RunDirectory
-from uncle.recon.run_metrics import EvalSettings, evaluate_run, score_surface, to_plain, write_error_mesh
+from uncle.recon.evaluation.run_metrics import EvalSettings, evaluate_run, score_surface, to_plain, write_error_mesh
 from uncle.recon.core.trajectory import Trajectory
-from uncle.recon.visibility import Visibility
+from uncle.recon.evaluation.visibility import Visibility
 
 QUICK = EvalSettings(samples=20_000, views=5, completeness_to="surface")
 

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from uncle.recon.calibration import evaluate_uncertainty
+from uncle.recon.evaluation.uncertainty_calibration import evaluate_uncertainty
 from uncle.recon.stated_intervals import LEVELS, MIN_READINGS, key_of, state_intervals
 
 

@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
-from uncle.recon.tracking_metrics import describe_lost, evaluate_tracking, normalised_errors, pose_covariances, rows_at, stated_sigmas
+from uncle.recon.evaluation.tracking_metrics import describe_lost, evaluate_tracking, normalised_errors, pose_covariances, rows_at, stated_sigmas
 from uncle.recon.tracking_record import TrackedFrame, TrackingRecord
 from uncle.recon.core.trajectory import Trajectory
-from uncle.recon.trajectory_metrics import MatchedPoses
+from uncle.recon.evaluation.trajectory_metrics import MatchedPoses
 
 SIGMAS = np.array([0.01, 0.02, 0.03, 0.004, 0.005, 0.006])
 

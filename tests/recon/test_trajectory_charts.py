@@ -4,7 +4,7 @@ import cv2
 import numpy as np
 import pytest
 from uncle.recon import trajectory_charts
-from uncle.recon.camera_path import CameraPath
+from uncle.recon.evaluation.trajectory_pair import CameraPath
 from uncle.recon.core.errors import DataError
 from uncle.recon.tracking_record import TrackedFrame, TrackingRecord
 from uncle.recon.core.trajectory import Trajectory

@@ -4,9 +4,9 @@ import time
 
 import numpy as np
 import pytest
-from uncle.recon.calibration import evaluate_uncertainty
-from uncle.recon.noise_curves import Readings
-from uncle.recon.uncertainty_summary import FEWEST, Standing, standing_of, summarise, summary_table
+from uncle.recon.evaluation.uncertainty_calibration import evaluate_uncertainty
+from uncle.recon.evaluation.noise_curves import Readings
+from uncle.recon.evaluation.sensor_summary import FEWEST, Standing, standing_of, summarise, summary_table
 
 
 def readings(depth: np.ndarray, scale: float = 0.01) -> Readings:

@@ -9,7 +9,7 @@ import torch
 from uncle.recon.core.errors import DataError, RunError
 from uncle.recon.run import RunDirectory
 from uncle.recon.core.mesh_raycaster import Surface
-from uncle.recon.visibility import Visibility, project_into, voxel_means
+from uncle.recon.evaluation.visibility import Visibility, project_into, voxel_means
 
 
 def test_all_around_sees_the_walls_and_nothing_behind_them(make_box_run):

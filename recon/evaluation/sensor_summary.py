@@ -7,10 +7,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from .calibration import UncertaintyMetrics
+from .uncertainty_calibration import UncertaintyMetrics
 from .noise_curves import Readings
-from .run import RunDirectory
-from .uncertainty_table import uncertainty_rows
+from ..run import RunDirectory
+from ..uncertainty_table import uncertainty_rows
 
 DISTANCES_M = (1, 2, 3, 5)
 WITHIN = 0.1  # readings this share nearer or farther count for a distance

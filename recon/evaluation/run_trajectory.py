@@ -6,12 +6,12 @@ import dataclasses
 
 import numpy as np
 
-from .camera_path import CameraPath
-from .core.errors import DataError
-from .recording import RunFrames
-from .run import RunDirectory
+from .trajectory_pair import CameraPath
+from ..core.errors import DataError
+from ..recording import RunFrames
+from ..run import RunDirectory
 from .tracking_metrics import TrackingMetrics, evaluate_tracking, rows_at
-from .tracking_record import TrackingRecord
+from ..tracking_record import TrackingRecord
 from .trajectory_metrics import TrajectoryMetrics, evaluate_trajectory
 
 

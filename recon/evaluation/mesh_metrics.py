@@ -9,9 +9,9 @@ from typing import Literal
 import numpy as np
 from scipy.spatial import cKDTree
 
-from .core.errors import DataError
-from .core.mesh import Mesh
-from .core.mesh_raycaster import Surface, sample_surface
+from ..core.errors import DataError
+from ..core.mesh import Mesh
+from ..core.mesh_raycaster import Surface, sample_surface
 
 ICP_DISTANCE_M = 0.1  # METHOD, F-score library
 SEEN_DISTANCE_M = 0.03  # a reference point counts as seen this near to a seen one (they lie 1.5 cm apart)

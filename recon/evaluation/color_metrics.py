@@ -7,10 +7,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from .core.camera import Camera
-from .core.errors import DataError
-from .core.mesh import Mesh
-from .core.mesh_raycaster import Surface
+from ..core.camera import Camera
+from ..core.errors import DataError
+from ..core.mesh import Mesh
+from ..core.mesh_raycaster import Surface
 
 UNSEEN = 128  # grey: what vertices have of which no colour was seen
 MIN_SQUARE = 1 / (12 * 255**2)  # of what rounding to whole numbers leaves

@@ -6,9 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from .core.errors import DataError
-from .recording import RunFrames
-from .sensor_pictures import read_sensor_frame, spread_frames
+from ..core.errors import DataError
+from ..recording import RunFrames
+from ..sensor_pictures import read_sensor_frame, spread_frames
 
 _FRAMES = 12
 _STRIDE = 3  # pixels between the readings that count

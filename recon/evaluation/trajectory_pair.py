@@ -8,10 +8,10 @@ from pathlib import Path
 
 import numpy as np
 
-from .core.errors import DataError
-from .run import RunDirectory
-from .tracking_record import TrackingRecord
-from .core.trajectory import Trajectory
+from ..core.errors import DataError
+from ..run import RunDirectory
+from ..tracking_record import TrackingRecord
+from ..core.trajectory import Trajectory
 from .trajectory_metrics import MatchedPoses, has_clock
 
 

@@ -8,12 +8,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from .core.camera import Camera
-from .core.errors import DataError, RunError
-from .core.mesh import Mesh
-from .recording import RunFrames
-from .run import RunDirectory
-from .core.mesh_raycaster import Surface
+from ..core.camera import Camera
+from ..core.errors import DataError, RunError
+from ..core.mesh import Mesh
+from ..recording import RunFrames
+from ..run import RunDirectory
+from ..core.mesh_raycaster import Surface
 
 GROUND_TRUTH_SENSOR = "gt"
 MIN_DEPTH_M = 0.1  # nearer than any depth sensor measures

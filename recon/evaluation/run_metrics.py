@@ -12,18 +12,18 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from .calibration import UncertaintyMetrics, evaluate_uncertainty
+from .uncertainty_calibration import UncertaintyMetrics, evaluate_uncertainty
 from .color_metrics import HeldOutColor, held_out_color
-from .confidence_metrics import ConfidenceMetrics, evaluate_confidence
+from .vertex_sigma_metrics import ConfidenceMetrics, evaluate_confidence
 from .depth_metrics import HeldOutDepth, NovelViewDepth, ViewSettings, held_out_depth, novel_view_depth
-from .core.errors import DataError, RunError, UncleError
-from .core.events import Note, OnEvent, ignore, track_progress
-from .core.mesh import Mesh
+from ..core.errors import DataError, RunError, UncleError
+from ..core.events import Note, OnEvent, ignore, track_progress
+from ..core.mesh import Mesh
 from .mesh_metrics import CompletenessTarget, MeshMetrics, Protocol, color_by_distance, evaluate_mesh, moved
-from .recording import RunFrames
-from .run import Manifest, RunDirectory
+from ..recording import RunFrames
+from ..run import Manifest, RunDirectory
 from .run_trajectory import score_tracking, score_trajectory
-from .core.files import write_text
+from ..core.files import write_text
 from .tracking_metrics import TrackingMetrics
 from .trajectory_metrics import TrajectoryMetrics
 from .visibility import GROUND_TRUTH_SENSOR, Visibility

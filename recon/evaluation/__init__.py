@@ -1,0 +1,1 @@
+"""Scores against ground truth. Never read by a method."""
