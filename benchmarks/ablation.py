@@ -11,14 +11,14 @@ from typing import NamedTuple
 
 from chain import SENSOR_COLUMNS
 from common import carry_out
-from uncle.recon.bench import statistics
-from uncle.recon.bench.paper_tables import mean_text
-from uncle.recon.bench.process import Record, evaluate, map_costs, new_run, sensor_options, uncle
-from uncle.recon.bench.scores import scores
-from uncle.recon.bench.statistics import Metric
-from uncle.recon.bench.tables import cell, markdown_table, number
-from uncle.recon.bench.variants import GROUPS, METHOD_OF, Settings, choose_variants
-from uncle.recon.bench.variants import UNWEIGHTED as BASELINE
+from uncle.recon.evaluation.bench import statistics
+from uncle.recon.evaluation.bench.paper_tables import mean_text
+from uncle.recon.evaluation.bench.process import Record, evaluate, map_costs, new_run, sensor_options, uncle
+from uncle.recon.evaluation.bench.scores import scores
+from uncle.recon.evaluation.bench.statistics import Metric
+from uncle.recon.evaluation.bench.tables import cell, markdown_table, number
+from uncle.recon.evaluation.bench.variants import GROUPS, METHOD_OF, Settings, choose_variants
+from uncle.recon.evaluation.bench.variants import UNWEIGHTED as BASELINE
 from uncle.recon.core.errors import RunError, UncleError
 
 OWN_GROUPS = [group for group in GROUPS if group not in METHOD_OF]  # of the default method

@@ -7,8 +7,8 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
-from uncle.recon.bench import records
-from uncle.recon.bench.process import Record
+from uncle.recon.evaluation.bench import records
+from uncle.recon.evaluation.bench.process import Record
 from uncle.recon.core.events import Event, Note, Warn
 
 

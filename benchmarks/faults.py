@@ -14,9 +14,9 @@ import torch
 from common import carry_out
 from torch import Tensor
 from uncle.datasets import open_dataset
-from uncle.recon.bench.process import Record, new_run, sensor_options, uncle
-from uncle.recon.bench.scores import surface_scores
-from uncle.recon.bench.tables import cell, markdown_table
+from uncle.recon.evaluation.bench.process import Record, new_run, sensor_options, uncle
+from uncle.recon.evaluation.bench.scores import surface_scores
+from uncle.recon.evaluation.bench.tables import cell, markdown_table
 from uncle.recon.core.errors import UncleError
 from uncle.recon.core.frame import Frame, Recording
 from uncle.recon.preprocess import preprocess

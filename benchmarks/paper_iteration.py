@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 import torch
-from uncle.recon.bench.tables import markdown_table
+from uncle.recon.evaluation.bench.tables import markdown_table
 from uncle.recon.checkpoint import load_tensors
 from uncle.recon.core.config.map_config import make_config
 from uncle.recon.core.device import choose_device

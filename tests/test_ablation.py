@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from scipy import stats
-from uncle.recon.bench.statistics import ALL_SCENES
+from uncle.recon.evaluation.bench.statistics import ALL_SCENES
 from uncle.recon.core.config.map_config import make_config
 from uncle.recon.core.errors import ConfigError
 from uncle.recon.uncertainty import seen_features

@@ -10,7 +10,7 @@ import pytest
 import torch
 from uncle.datasets import senfunet
 from uncle.datasets.synth.write import make_dataset
-from uncle.recon.bench.scores import UNCERTAINTY
+from uncle.recon.evaluation.bench.scores import UNCERTAINTY
 from uncle.recon.core.errors import RunError
 from uncle.recon.core.frame import Frame
 from uncle.recon.tracking_record import TrackedFrame, TrackingRecord

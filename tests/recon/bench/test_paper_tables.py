@@ -4,11 +4,11 @@ from pathlib import Path
 
 import pytest
 from scipy import stats
-from uncle.recon.bench import methods
-from uncle.recon.bench.paper_tables import paper_tables, statistics_json
-from uncle.recon.bench.plan import Choice, Scene
-from uncle.recon.bench.published import REPLICA, published
-from uncle.recon.bench.scores import UNCERTAINTY
+from uncle.recon.evaluation.bench import methods
+from uncle.recon.evaluation.bench.paper_tables import paper_tables, statistics_json
+from uncle.recon.evaluation.bench.plan import Choice, Scene
+from uncle.recon.evaluation.bench.published import REPLICA, published
+from uncle.recon.evaluation.bench.scores import UNCERTAINTY
 
 ROOM = Scene("room", Path("room"), "senfunet", ("sl", "psmnet"), True, True, 130, "abc")
 HALL = Scene("hall", Path("hall"), "senfunet", ("sl",), True, True, 130, "abc")

@@ -4,9 +4,9 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from uncle.recon.bench import methods
-from uncle.recon.bench.plan import Choice, Job, Scene, is_done, plan, scene_name, synth_arguments, with_timing
-from uncle.recon.bench.variants import variants_of_methods
+from uncle.recon.evaluation.bench import methods
+from uncle.recon.evaluation.bench.plan import Choice, Job, Scene, is_done, plan, scene_name, synth_arguments, with_timing
+from uncle.recon.evaluation.bench.variants import variants_of_methods
 from uncle.recon.core.config.map_config import PRESETS
 from uncle.recon.core.errors import ConfigError
 

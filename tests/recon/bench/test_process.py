@@ -6,7 +6,7 @@ import sys
 import threading
 
 import pytest
-from uncle.recon.bench import process
+from uncle.recon.evaluation.bench import process
 from uncle.recon.core.errors import RunError
 
 

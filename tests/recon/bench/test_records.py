@@ -5,7 +5,7 @@ import threading
 from typing import NamedTuple
 
 import pytest
-from uncle.recon.bench.records import carry_out, duration
+from uncle.recon.evaluation.bench.records import carry_out, duration
 from uncle.recon.core.errors import DataError, RunError
 from uncle.recon.core.events import Note, Warn
 

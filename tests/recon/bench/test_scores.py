@@ -1,6 +1,6 @@
 """What is taken from the metrics of a run."""
 
-from uncle.recon.bench.scores import UNCERTAINTY, scores, trajectory_scores
+from uncle.recon.evaluation.bench.scores import UNCERTAINTY, scores, trajectory_scores
 
 
 def test_scores_are_taken_by_threshold_and_sensor():

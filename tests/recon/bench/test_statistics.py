@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from scipy import stats
-from uncle.recon.bench.statistics import ALL_SCENES, Metric, collect, describe, summarise
+from uncle.recon.evaluation.bench.statistics import ALL_SCENES, Metric, collect, describe, summarise
 
 F = Metric("F", "f", 100, 1, 1)
 

@@ -1,6 +1,6 @@
 """Cells, ratios, and tables in both formats."""
 
-from uncle.recon.bench.tables import Table, cell, page, ratio
+from uncle.recon.evaluation.bench.tables import Table, cell, page, ratio
 
 
 def test_cell_is_the_median_of_those_that_were_scored():

@@ -1,7 +1,7 @@
 """Variants of the uncertainty, by group and by name, for each method that has some."""
 
 import pytest
-from uncle.recon.bench.variants import GROUPS, METHOD_OF, UNWEIGHTED, choose_variants, variants_of_methods
+from uncle.recon.evaluation.bench.variants import GROUPS, METHOD_OF, UNWEIGHTED, choose_variants, variants_of_methods
 from uncle.recon.core.config.map_config import make_config
 from uncle.recon.core.errors import ConfigError
 

@@ -6,7 +6,7 @@ import statistics
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 
-from ..core import html as report_html
+from ...core import html as report_html
 from .process import Record
 
 NOTHING = "-"

@@ -13,7 +13,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from ..core.errors import RunError
+from ...core.errors import RunError
 
 Record = dict[str, Any]
 LAUNCHER = (sys.executable, "-m", "uncle.cli.main")

@@ -11,7 +11,7 @@ from itertools import combinations
 from pathlib import Path
 from typing import NamedTuple
 
-from ..core.errors import ConfigError
+from ...core.errors import ConfigError
 from . import methods
 from .process import Record
 from .variants import Settings, Variant

@@ -13,9 +13,9 @@ from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
 from pathlib import Path
 from typing import Any, Protocol
 
-from ..core.errors import DataError, UncleError
-from ..core.events import Note, OnEvent, Warn, ignore
-from ..core.files import write_text
+from ...core.errors import DataError, UncleError
+from ...core.events import Note, OnEvent, Warn, ignore
+from ...core.files import write_text
 from .process import Record, share_of_cores, stay_on, stop_all
 
 Each = Callable[[dict[str, Record], dict[str, str]], None]

@@ -12,9 +12,9 @@ from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
-from ..core.errors import ConfigError, UncleError
-from ..core.events import Note, OnEvent, Warn, ignore
-from ..core.files import write_text
+from ...core.errors import ConfigError, UncleError
+from ...core.events import Note, OnEvent, Warn, ignore
+from ...core.files import write_text
 from . import methods, process, scores
 from .paper_tables import Failures, paper_tables, statistics_json
 from .plan import SETTINGS, Choice, Job, Scene, is_done, plan, scene_name, synth_arguments, with_timing

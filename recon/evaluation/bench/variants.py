@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from itertools import product
 from typing import NamedTuple
 
-from ..core.errors import ConfigError
+from ...core.errors import ConfigError
 
 UNWEIGHTED = "unweighted"
 Settings = tuple[str, ...]  # key=value, as `uncle map --set` takes them
