@@ -17,7 +17,7 @@ from .core.device import choose_device
 from .core.errors import ConfigError, RunError
 from .core.events import Note, OnEvent, Warn, ignore
 from .field import NeuralField
-from .methods import Job, make_map, trained_parts
+from .methods.registry import Job, make_map, trained_parts
 from .noise_prior import NoisePrior
 from .recording import RunFrames
 from .run import Manifest, RunDirectory, config_hash

@@ -13,7 +13,7 @@ from ..core.events import OnEvent, track_progress
 from ..field import NeuralField
 from ..core.frame import Frame
 from ..grid import SparseGrid
-from ..online import Found, Poses
+from ..methods.online import Found, Poses
 from ..recording import RunFrames
 from .bound import around, bound_of, points_of, set_bound
 from .fast import FastEvaluate

@@ -12,7 +12,7 @@ from ..core.config.map_config import MapConfig
 from ..core.events import OnEvent, track_progress
 from ..field import NeuralField
 from ..core.frame import Frame
-from ..online import Found, Poses
+from ..methods.online import Found, Poses
 from ..recording import RunFrames
 from ..core.config.vox import VoxConfig
 from .mapping import VoxMapper

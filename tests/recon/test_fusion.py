@@ -11,7 +11,7 @@ from uncle.recon.grid import ROWS, SparseGrid
 from uncle.recon.mapper import Mapper
 from uncle.recon.recording import RunFrames
 from uncle.recon.run import RunDirectory
-from uncle.recon.tsdf import fuse_open3d
+from uncle.recon.methods.registry.open3d_tsdf import fuse_open3d
 
 CAMERA = Camera(80, 60, 60.0, 60.0, 39.5, 29.5)
 VOXEL, TRUNCATION = 0.05, 0.2

@@ -5,7 +5,8 @@ from functools import partial
 import numpy as np
 import pytest
 import torch
-from uncle.recon import map_stage, methods
+from uncle.recon import map_stage
+from uncle.recon.methods.registry import registry as methods
 from uncle.recon.checkpoint import Checkpoint, load_tensors
 from uncle.recon.core.config.map_config import make_config
 from uncle.recon.core.errors import DataError
@@ -13,7 +14,7 @@ from uncle.recon.core.events import Progress
 from uncle.recon.field import NeuralField
 from uncle.recon.grid import SparseGrid
 from uncle.recon.map_stage import load_field, map_run
-from uncle.recon.online import Found
+from uncle.recon.methods.registry.online import Found
 from uncle.recon.recording import RunFrames
 from uncle.recon.tracking_record import TrackingRecord
 from uncle.recon.core.trajectory import Trajectory

@@ -8,7 +8,7 @@ from uncle.recon.core.config.map_config import make_config
 from uncle.recon.core.events import Progress
 from uncle.recon.map_stage import load_field, map_run
 from uncle.recon.mesh import make_mesh
-from uncle.recon.online import map_online
+from uncle.recon.methods.registry.online import map_online
 from uncle.recon.recording import RunFrames
 from uncle.recon.vox.system import VoxSystem
 

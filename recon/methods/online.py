@@ -8,16 +8,16 @@ from typing import Any, Protocol
 import numpy as np
 from torch import Tensor
 
-from .checkpoint import Checkpoint
-from .core.config.map_config import MapConfig
-from .core.events import Note, OnEvent, Progress, ignore
-from .field import NeuralField
-from .core.frame import Frame
-from .pipeline import OnBeta
-from .progression import Timed
-from .recording import RunFrames
-from .tracking import require_found
-from .tracking_record import Status, TrackedFrame, TrackingRecord
+from ..checkpoint import Checkpoint
+from ..core.config.map_config import MapConfig
+from ..core.events import Note, OnEvent, Progress, ignore
+from ..field import NeuralField
+from ..core.frame import Frame
+from ..pipeline import OnBeta
+from ..progression import Timed
+from ..recording import RunFrames
+from ..tracking import require_found
+from ..tracking_record import Status, TrackedFrame, TrackingRecord
 
 Poses = dict[int, np.ndarray]  # frame index -> T_world_camera (4, 4) float64
 

@@ -10,25 +10,25 @@ from typing import Any
 import numpy as np
 import torch
 
-from .checkpoint import Checkpoint, save_tensors
-from .confidence.models import ConfidenceModels
-from .core.config.map_config import MapConfig
-from .core.errors import DataError
-from .core.events import OnEvent, track_progress
-from .field import NeuralField
-from .core.frame import Frame
+from ..checkpoint import Checkpoint, save_tensors
+from ..confidence.models import ConfidenceModels
+from ..core.config.map_config import MapConfig
+from ..core.errors import DataError
+from ..core.events import OnEvent, track_progress
+from ..field import NeuralField
+from ..core.frame import Frame
 from .map_output import MapOutput
-from .nice.scene import choose_decoders
-from .noise_prior import NoisePrior, save_noise_models
+from ..nice.scene import choose_decoders
+from ..noise_prior import NoisePrior, save_noise_models
 from .online import OnlineSystem, map_online
-from .pipeline import choose_device, choose_tracker, reconstruct
-from .recording import RunFrames
-from .run import RunDirectory
-from .senfunet.fuse import fuse_senfunet, require_pair
-from .senfunet.models import SenfunetModel
-from .tracking import Tracker, require_found
-from .tracking_record import TrackingRecord
-from .tsdf import fuse_open3d
+from ..pipeline import choose_device, choose_tracker, reconstruct
+from ..recording import RunFrames
+from ..run import RunDirectory
+from ..senfunet.fuse import fuse_senfunet, require_pair
+from ..senfunet.models import SenfunetModel
+from ..tracking import Tracker, require_found
+from ..tracking_record import TrackingRecord
+from .open3d_tsdf import fuse_open3d
 
 
 @dataclass(frozen=True)
@@ -56,13 +56,13 @@ class Made:
 
 
 def _vox_fusion(frames: RunFrames, config: MapConfig, device: torch.device) -> OnlineSystem:
-    from .vox.system import VoxSystem
+    from ..vox.system import VoxSystem
 
     return VoxSystem(frames, config, device)
 
 
 def _nice(frames: RunFrames, config: MapConfig, device: torch.device) -> OnlineSystem:
-    from .nice.system import NiceSystem
+    from ..nice.system import NiceSystem
 
     return NiceSystem(frames, config, device)
 

@@ -9,11 +9,11 @@ from typing import Any
 
 from torch import Tensor
 
-from . import sensor_record
-from .core.events import OnEvent, Warn
-from .run import RunDirectory
-from .sensor_health import SensorHealth
-from .core.files import BETA_UNITS_PER_M, encode_metres, explain_write_errors, write_image, write_text
+from .. import sensor_record
+from ..core.events import OnEvent, Warn
+from ..run import RunDirectory
+from ..sensor_health import SensorHealth
+from ..core.files import BETA_UNITS_PER_M, encode_metres, explain_write_errors, write_image, write_text
 
 
 class MapOutput:
