@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 from scipy.stats import spearmanr
-from uncle.recon.confidence.models import ConfidenceModels
+from uncle.recon.methods.confidence.models import ConfidenceModels
 from uncle.recon.recording import RunFrames
 from uncle.recon.run import RunDirectory
 

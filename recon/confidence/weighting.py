@@ -9,7 +9,7 @@ from ..core.frame import Frame
 from ..core.config.nice import NiceConfig, NiceTrackingConfig
 from ..nice.views import Rays
 from ..nice.weighting import Normals, Uniform
-from .models import ConfidenceModels
+from ..methods.confidence.models import ConfidenceModels
 
 LEAST = 1e-3  # keeps the denominator of a reading that is not trusted at all finite
 

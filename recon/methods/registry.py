@@ -11,7 +11,7 @@ import numpy as np
 import torch
 
 from ..checkpoint import Checkpoint, save_tensors
-from ..confidence.models import ConfidenceModels
+from .confidence.models import ConfidenceModels
 from ..core.config.map_config import MapConfig
 from ..core.errors import DataError
 from ..core.events import OnEvent, track_progress

@@ -13,7 +13,7 @@ import torch
 from torch import Tensor, nn
 
 from ..core.camera import Camera
-from ..confidence.models import ConfidenceModels
+from ..methods.confidence.models import ConfidenceModels
 from ..core.frame import Frame
 from ..core.config.nice import NiceConfig, NiceTrackingConfig
 from .noise import COLOR_INPUTS, PATCH, NoiseNet, noise_images

@@ -13,7 +13,7 @@ import torch
 from torch import Tensor
 from torch.nn.functional import avg_pool2d, conv2d
 
-from ..confidence.network import SMALLEST_SIDE, ConfidenceNetwork
+from ..methods.confidence.network import SMALLEST_SIDE, ConfidenceNetwork
 from ..core.errors import ConfigError, DataError
 from ..core.events import OnEvent, Progress, ignore
 from ..core.files import DEPTH_UNITS_PER_M

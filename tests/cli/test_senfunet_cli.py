@@ -7,7 +7,7 @@ import pytest
 import torch
 from click.testing import CliRunner, Result
 from uncle.cli.main import main
-from uncle.recon.confidence.models import ConfidenceModels
+from uncle.recon.methods.confidence.models import ConfidenceModels
 from uncle.recon.run import RunDirectory
 from uncle.recon.senfunet.models import SenfunetModel
 

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 import torch
 from torch.nn.functional import interpolate, max_pool2d, pad
-from uncle.recon.confidence.models import ConfidenceModels, save_network, shipped_sensors
-from uncle.recon.confidence.network import PARAMETERS, ConfidenceNetwork, confidence_image
+from uncle.recon.methods.confidence.models import ConfidenceModels, save_network, shipped_sensors
+from uncle.recon.methods.confidence.network import PARAMETERS, ConfidenceNetwork, confidence_image
 from uncle.recon.core.errors import ConfigError
 
 

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 import torch
-from uncle.recon.confidence.models import ConfidenceModels, save_network
-from uncle.recon.confidence.network import ConfidenceNetwork
-from uncle.recon.confidence.weighting import LEAST, Confident
+from uncle.recon.methods.confidence.models import ConfidenceModels, save_network
+from uncle.recon.methods.confidence.network import ConfidenceNetwork
+from uncle.recon.methods.confidence.weighting import LEAST, Confident
 from uncle.recon.core.config.map_config import make_config
 from uncle.recon.core.errors import ConfigError
 from uncle.recon.core.frame import Frame
