@@ -16,8 +16,8 @@ from pathlib import Path
 import torch
 from torch import Tensor
 from uncle.recon.core.device import choose_device
-from uncle.recon.nice.decoder_files import load_decoders, shipped_decoders
-from uncle.recon.nice.decoders import CHANNELS, OCCUPANCY_SLOPE, OccupancyDecoders, random_decoders
+from uncle.recon.methods.nice.decoder_files import load_decoders, shipped_decoders
+from uncle.recon.methods.nice.decoders import CHANNELS, OCCUPANCY_SLOPE, OccupancyDecoders, random_decoders
 from uncle.recon.pretrain.decoder_scores import decoder_scores
 from uncle.recon.pretrain.grids import INITIAL_STD
 from uncle.recon.pretrain.rooms import Rooms, draw_rooms

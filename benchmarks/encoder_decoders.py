@@ -6,7 +6,7 @@ everything else is as in `uncle pretrain decoders`. See docs/pretraining.md for 
 
 import torch
 from torch import Tensor, nn
-from uncle.recon.nice.decoders import OccupancyDecoders
+from uncle.recon.methods.nice.decoders import OccupancyDecoders
 from uncle.recon.pretrain.crops import Crops, draw_crops, sample_crops
 from uncle.recon.pretrain.cubes import cube_logits, cube_losses
 from uncle.recon.pretrain.decoder_training import DecoderTrainer, DecoderTraining, _schedule

@@ -16,11 +16,11 @@ from uncle.recon.evaluation.bench.tables import markdown_table
 from uncle.recon.checkpoint import load_tensors
 from uncle.recon.core.config.map_config import make_config
 from uncle.recon.core.device import choose_device
-from uncle.recon.nice.mapper import Optimizer
-from uncle.recon.nice.poses import to_matrix, to_seven
-from uncle.recon.nice.scene import Stage
-from uncle.recon.nice.system import NiceSystem
-from uncle.recon.nice.views import Window
+from uncle.recon.methods.nice.mapper import Optimizer
+from uncle.recon.methods.nice.poses import to_matrix, to_seven
+from uncle.recon.methods.nice.scene import Stage
+from uncle.recon.methods.nice.system import NiceSystem
+from uncle.recon.methods.nice.views import Window
 from uncle.recon.recording import RunFrames
 from uncle.recon.run import RunDirectory
 

@@ -18,7 +18,7 @@ from ..core.events import OnEvent, track_progress
 from ..field import NeuralField
 from ..core.frame import Frame
 from .map_output import MapOutput
-from ..nice.scene import choose_decoders
+from .nice.scene import choose_decoders
 from ..noise_prior import NoisePrior, save_noise_models
 from .online import OnlineSystem, map_online
 from ..pipeline import choose_device, choose_tracker, reconstruct
@@ -62,7 +62,7 @@ def _vox_fusion(frames: RunFrames, config: MapConfig, device: torch.device) -> O
 
 
 def _nice(frames: RunFrames, config: MapConfig, device: torch.device) -> OnlineSystem:
-    from ..nice.system import NiceSystem
+    from .nice.system import NiceSystem
 
     return NiceSystem(frames, config, device)
 

@@ -4,7 +4,7 @@ import pytest
 import torch
 from click.testing import CliRunner
 from uncle.cli.main import main
-from uncle.recon.nice.decoder_files import load_decoders
+from uncle.recon.methods.nice.decoder_files import load_decoders
 from uncle.recon.pretrain import decoder_run
 from uncle.recon.pretrain.decoder_training import DecoderTrainer, DecoderTraining
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from uncle.recon.core import normals as features
-from uncle.recon import features_reference
+from uncle.recon.methods.nice import published_normals as features_reference
 from uncle.recon.core.camera import Camera
 
 CAMERA = Camera(96, 72, 80.0, 82.0, 46.5, 36.25)

@@ -11,8 +11,8 @@ from uncle.recon.core.errors import ConfigError
 from uncle.recon.core.frame import Frame
 from uncle.recon.map_stage import map_run
 from uncle.recon.core.config.nice import NiceConfig, NiceTrackingConfig
-from uncle.recon.nice.views import Rays
-from uncle.recon.nice.weighting import Uniform
+from uncle.recon.methods.nice.views import Rays
+from uncle.recon.methods.nice.weighting import Uniform
 
 CPU = torch.device("cpu")
 

@@ -5,9 +5,9 @@ import pytest
 import torch
 from uncle.recon.core.camera import Camera
 from uncle.recon.core.config.nice import NiceMappingConfig
-from uncle.recon.nice.frustum import in_frustum
-from uncle.recon.nice.keyframes import choose_window, mean_depth, overlapping
-from uncle.recon.nice.mapper import learning_rates, schedule
+from uncle.recon.methods.nice.frustum import in_frustum
+from uncle.recon.methods.nice.keyframes import choose_window, mean_depth, overlapping
+from uncle.recon.methods.nice.mapper import learning_rates, schedule
 
 CAMERA = Camera(160, 120, 90.0, 90.0, 79.5, 59.5)
 

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 import torch
 from uncle.recon.core.errors import ConfigError
-from uncle.recon.nice.decoder_files import load_decoders, save_decoders
-from uncle.recon.nice.decoders import random_decoders
+from uncle.recon.methods.nice.decoder_files import load_decoders, save_decoders
+from uncle.recon.methods.nice.decoders import random_decoders
 
 
 def nice_slam_model(decoders) -> dict[str, torch.Tensor]:

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 import torch
-from uncle.recon.nice.decoders import color_decoder, fine_decoder, middle_decoder, random_decoders
+from uncle.recon.methods.nice.decoders import color_decoder, fine_decoder, middle_decoder, random_decoders
 
 
 @pytest.mark.parametrize(

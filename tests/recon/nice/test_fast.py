@@ -5,18 +5,18 @@ import pytest
 import torch
 from torch.nn.functional import grid_sample
 from uncle.recon.core.camera import Camera
-from uncle.recon.nice import fast, kernels
+from uncle.recon.methods.nice import fast, kernels
 from uncle.recon.core.config.nice import NiceConfig, NiceTrackingConfig
-from uncle.recon.nice.decoders import color_decoder, fine_decoder, middle_decoder
-from uncle.recon.nice.fast import FastEvaluate
-from uncle.recon.nice.frozen import FrozenDecoder
-from uncle.recon.nice.objective import look, mapping_loss, tracking_loss
-from uncle.recon.nice.poses import to_matrix
-from uncle.recon.nice.rays import render
-from uncle.recon.nice.scene import Scene
-from uncle.recon.nice.views import Rays
-from uncle.recon.nice.weighting import Laplace, Uniform
-from uncle.recon.nice.workers import Workers
+from uncle.recon.methods.nice.decoders import color_decoder, fine_decoder, middle_decoder
+from uncle.recon.methods.nice.fast import FastEvaluate
+from uncle.recon.methods.nice.frozen import FrozenDecoder
+from uncle.recon.methods.nice.objective import look, mapping_loss, tracking_loss
+from uncle.recon.methods.nice.poses import to_matrix
+from uncle.recon.methods.nice.rays import render
+from uncle.recon.methods.nice.scene import Scene
+from uncle.recon.methods.nice.views import Rays
+from uncle.recon.methods.nice.weighting import Laplace, Uniform
+from uncle.recon.methods.nice.workers import Workers
 
 CPU = torch.device("cpu")
 STAGES = ("middle", "fine", "color")

@@ -3,8 +3,8 @@
 import pytest
 import torch
 from torch.nn.functional import grid_sample
-from uncle.recon.nice.grids import FeatureGrid
-from uncle.recon.nice.scene import enlarged
+from uncle.recon.methods.nice.grids import FeatureGrid
+from uncle.recon.methods.nice.scene import enlarged
 
 CPU = torch.device("cpu")
 BOUND = torch.tensor([[-1.0, 0.5, 2.0], [1.3, 2.1, 5.2]])

@@ -5,7 +5,7 @@ import pytest
 import torch
 from uncle.recon.core.config.map_config import make_config
 from uncle.recon.core.frame import Frame
-from uncle.recon.nice.system import NiceSystem
+from uncle.recon.methods.nice.system import NiceSystem
 from uncle.recon.core.se3 import moved
 
 QUICK = [

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 from uncle.recon.core.camera import Camera
-from uncle.recon.nice.noise import NoiseNet, gather_patches, noise_images
+from uncle.recon.methods.nice.noise import NoiseNet, gather_patches, noise_images
 
 
 @pytest.mark.parametrize(("inputs", "parameters"), [(2, 5889), (7, 9889), (3, 6689)])

@@ -8,10 +8,10 @@ import pytest
 import torch
 from uncle.recon.core.camera import Camera
 from uncle.recon.core.config.nice import NiceConfig, NiceTrackingConfig
-from uncle.recon.nice.objective import Picture, mapping_loss, tracking_loss
-from uncle.recon.nice.poses import predicted, tidy, to_matrix, to_seven
-from uncle.recon.nice.views import Rays
-from uncle.recon.nice.weighting import Laplace, Uniform
+from uncle.recon.methods.nice.objective import Picture, mapping_loss, tracking_loss
+from uncle.recon.methods.nice.poses import predicted, tidy, to_matrix, to_seven
+from uncle.recon.methods.nice.views import Rays
+from uncle.recon.methods.nice.weighting import Laplace, Uniform
 from uncle.recon.core.se3 import moved
 
 CAMERA = Camera(8, 6, 10.0, 10.0, 3.5, 2.5)

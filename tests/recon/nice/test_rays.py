@@ -2,7 +2,7 @@
 
 import pytest
 import torch
-from uncle.recon.nice.rays import box_exit, ray_weights, render, sample_depths
+from uncle.recon.methods.nice.rays import box_exit, ray_weights, render, sample_depths
 
 
 def test_where_rays_leave_a_box():

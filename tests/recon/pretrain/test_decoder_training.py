@@ -2,8 +2,8 @@
 
 import pytest
 import torch
-from uncle.recon.nice.decoder_files import shipped_decoders
-from uncle.recon.nice.decoders import random_decoders
+from uncle.recon.methods.nice.decoder_files import shipped_decoders
+from uncle.recon.methods.nice.decoders import random_decoders
 from uncle.recon.pretrain.cubes import CubeBatch, cube_losses
 from uncle.recon.pretrain.decoder_scores import decoder_scores
 from uncle.recon.pretrain.decoder_training import DecoderTrainer, DecoderTraining

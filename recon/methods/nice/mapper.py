@@ -9,9 +9,9 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from ..core.camera import Camera
-from ..core.config.map_config import MapConfig
-from ..core.config.nice import NiceMappingConfig
+from ...core.camera import Camera
+from ...core.config.map_config import MapConfig
+from ...core.config.nice import NiceMappingConfig
 from .frustum import in_frustum
 from .keyframes import choose_window, overlapping
 from .objective import Evaluate, look, mapping_loss

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from ..core.config.nice import NiceConfig
+from ...core.config.nice import NiceConfig
 from .rays import box_exit, render, sample_depths
 from .scene import Stage, Values
 from .views import Rays

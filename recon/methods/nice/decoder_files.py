@@ -10,8 +10,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from ..checkpoint import save_tensors
-from ..core.errors import ConfigError
+from ...checkpoint import save_tensors
+from ...core.errors import ConfigError
 from .decoders import LAYERS, Decoder, OccupancyDecoders, fine_decoder, middle_decoder
 
 FORMAT = "uncle occupancy decoders, version 1"

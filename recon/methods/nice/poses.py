@@ -7,7 +7,7 @@ import torch
 from scipy.spatial.transform import Rotation
 from torch import Tensor
 
-from ..core.se3 import inverse
+from ...core.se3 import inverse
 
 
 def to_seven(T_world_camera: np.ndarray) -> Tensor:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from ..core.camera import Camera
+from ...core.camera import Camera
 
 BEHIND_M = 0.5  # vertices so far behind a reading are still optimised,
 AROUND_M = 0.5  # and so are those this close to the camera

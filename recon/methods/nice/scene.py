@@ -8,7 +8,7 @@ from typing import Any, Literal, NamedTuple
 import torch
 from torch import Tensor
 
-from ..core.config.nice import NiceConfig
+from ...core.config.nice import NiceConfig
 from .decoder_files import load_decoders, shipped_decoders
 from .decoders import OccupancyDecoders, color_decoder, random_decoders
 from .grids import FeatureGrid

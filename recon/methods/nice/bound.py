@@ -8,10 +8,10 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from ..core.camera import Camera
-from ..core.errors import ConfigError, DataError
-from ..recording import RunFrames
-from ..core.config.nice import NiceConfig
+from ...core.camera import Camera
+from ...core.errors import ConfigError, DataError
+from ...recording import RunFrames
+from ...core.config.nice import NiceConfig
 
 VIEWS = 100  # asked at most
 STRIDE = 8  # pixels

@@ -11,8 +11,8 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
-from .core.camera import Camera
-from .core.normals import unit_rays
+from ...core.camera import Camera
+from ...core.normals import unit_rays
 
 DIAMETER = 9  # pixels
 RANGE_SIGMA = 100.0  # metres

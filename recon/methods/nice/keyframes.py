@@ -5,7 +5,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from ..core.camera import Camera
+from ...core.camera import Camera
 
 PIXELS, SAMPLES = 100, 16  # of the overlap test
 BEFORE, BEHIND_M = 0.8, 0.5  # samples lie from this share of the depth to so far behind it

@@ -8,13 +8,13 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from ..core.config.map_config import MapConfig
-from ..core.events import OnEvent, track_progress
-from ..field import NeuralField
-from ..core.frame import Frame
-from ..grid import SparseGrid
-from ..methods.online import Found, Poses
-from ..recording import RunFrames
+from ...core.config.map_config import MapConfig
+from ...core.events import OnEvent, track_progress
+from ...field import NeuralField
+from ...core.frame import Frame
+from ...grid import SparseGrid
+from ..online import Found, Poses
+from ...recording import RunFrames
 from .bound import around, bound_of, points_of, set_bound
 from .fast import FastEvaluate
 from .mapper import Keyframe, NiceMapper

@@ -9,10 +9,10 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from ..core.camera import Camera
-from ..core.config.map_config import MapConfig
-from ..field import ACTIVE_VOXELS, NeuralField
-from ..grid import BLOCK, ROWS, SparseGrid, unique_blocks
+from ...core.camera import Camera
+from ...core.config.map_config import MapConfig
+from ...field import ACTIVE_VOXELS, NeuralField
+from ...grid import BLOCK, ROWS, SparseGrid, unique_blocks
 from .objective import Evaluate
 from .scene import Scene
 

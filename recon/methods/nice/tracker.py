@@ -6,9 +6,9 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from ..core.camera import Camera
-from ..core.config.map_config import MapConfig
-from ..methods.online import Found
+from ...core.camera import Camera
+from ...core.config.map_config import MapConfig
+from ..online import Found
 from .objective import Evaluate, look, tracking_loss
 from .poses import predicted, tidy, to_matrix, to_seven
 from .scene import Scene

@@ -9,9 +9,9 @@ import torch
 from torch import Tensor, nn
 from torch.nn.functional import softplus
 
-from ..core import normals as features
-from .. import features_reference
-from ..core.camera import Camera
+from ...core import normals as features
+from . import published_normals as features_reference
+from ...core.camera import Camera
 
 PATCH = 5  # pixels
 HIDDEN = 32

@@ -12,10 +12,10 @@ from typing import Any, Protocol
 import torch
 from torch import Tensor, nn
 
-from ..core.camera import Camera
-from ..methods.confidence.models import ConfidenceModels
-from ..core.frame import Frame
-from ..core.config.nice import NiceConfig, NiceTrackingConfig
+from ...core.camera import Camera
+from ..confidence.models import ConfidenceModels
+from ...core.frame import Frame
+from ...core.config.nice import NiceConfig, NiceTrackingConfig
 from .noise import COLOR_INPUTS, PATCH, NoiseNet, noise_images
 from .scene import Stage
 from .views import Rays
@@ -179,7 +179,7 @@ def choose_weighting(config: Any, sensors: tuple[str, ...], camera: Camera, gene
     if config.nice.weighting == "laplace":
         return Laplace(config.nice, sensors, camera, generator, device)
     if config.nice.weighting == "confidence":
-        from ..confidence.weighting import Confident  # which is made of `Uniform`
+        from .confidence_weighting import Confident  # which is made of `Uniform`
 
         models = ConfidenceModels.load(sensors, config.confidence.files, device)
         return Confident(config.nice, config.nice_tracking, models, device)

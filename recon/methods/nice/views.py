@@ -9,7 +9,7 @@ from functools import cached_property
 import torch
 from torch import Tensor
 
-from ..core.camera import Camera
+from ...core.camera import Camera
 from .noise import gather_patches
 
 
