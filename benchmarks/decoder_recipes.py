@@ -11,8 +11,8 @@ from decoders import score
 from encoder_decoders import train_with_encoder
 from uncle.recon.core.device import choose_device
 from uncle.recon.methods.nice.decoder_files import load_decoders, save_decoders
-from uncle.recon.pretrain.decoder_run import pretrain_decoders
-from uncle.recon.pretrain.decoder_training import DecoderTraining
+from uncle.recon.methods.pretrain.decoder_run import pretrain_decoders
+from uncle.recon.methods.pretrain.decoder_training import DecoderTraining
 
 RECIPES = {
     "default": {},

@@ -18,9 +18,9 @@ from torch import Tensor
 from uncle.recon.core.device import choose_device
 from uncle.recon.methods.nice.decoder_files import load_decoders, shipped_decoders
 from uncle.recon.methods.nice.decoders import CHANNELS, OCCUPANCY_SLOPE, OccupancyDecoders, random_decoders
-from uncle.recon.pretrain.decoder_scores import decoder_scores
-from uncle.recon.pretrain.grids import INITIAL_STD
-from uncle.recon.pretrain.rooms import Rooms, draw_rooms
+from uncle.recon.methods.pretrain.decoder_scores import decoder_scores
+from uncle.recon.methods.pretrain.grids import INITIAL_STD
+from uncle.recon.methods.pretrain.rooms import Rooms, draw_rooms
 
 CELL_M = {"middle": 0.32, "fine": 0.16}
 BLOCKS = (240, 60, 60)  # iterations: a first frame, with 5 times the rates, and two later ones

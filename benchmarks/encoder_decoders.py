@@ -7,10 +7,10 @@ everything else is as in `uncle pretrain decoders`. See docs/pretraining.md for 
 import torch
 from torch import Tensor, nn
 from uncle.recon.methods.nice.decoders import OccupancyDecoders
-from uncle.recon.pretrain.crops import Crops, draw_crops, sample_crops
-from uncle.recon.pretrain.cubes import cube_logits, cube_losses
-from uncle.recon.pretrain.decoder_training import DecoderTrainer, DecoderTraining, _schedule
-from uncle.recon.pretrain.grids import EXTENT_M, look_up
+from uncle.recon.methods.pretrain.crops import Crops, draw_crops, sample_crops
+from uncle.recon.methods.pretrain.cubes import cube_logits, cube_losses
+from uncle.recon.methods.pretrain.decoder_training import DecoderTrainer, DecoderTraining, _schedule
+from uncle.recon.methods.pretrain.grids import EXTENT_M, look_up
 
 SIDE = 16  # cells of 8 cm into which the points are sorted
 NOISE_M = 0.005

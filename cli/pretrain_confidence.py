@@ -49,8 +49,8 @@ def command(
     from ..recon.methods.confidence.models import save_network
     from ..recon.core.device import choose_device
     from ..recon.core.events import Note
-    from ..recon.pretrain.confidence import ConfidenceTraining, train_confidence
-    from ..recon.pretrain.depth_pairs import DepthPairs
+    from ..recon.methods.pretrain.confidence import ConfidenceTraining, train_confidence
+    from ..recon.methods.pretrain.depth_pairs import DepthPairs
 
     if bool(datasets) == bool(data):
         raise click.UsageError("give data sets, or --data with a file that --prepare made")

@@ -37,8 +37,8 @@ def command(ctx: click.Context, out: Path, steps: int, cubes: int, seed: int, de
     uncle pretrain decoders --cubes 516 --steps 6000 --device cuda
     """
     from ..recon.core.device import choose_device
-    from ..recon.pretrain.decoder_run import pretrain_decoders
-    from ..recon.pretrain.decoder_training import DecoderTraining
+    from ..recon.methods.pretrain.decoder_run import pretrain_decoders
+    from ..recon.methods.pretrain.decoder_training import DecoderTraining
 
     settings = DecoderTraining(steps=steps, cubes=cubes, seed=seed)
     pretrain_decoders(out, settings, choose_device(device), overwrite=overwrite, on_event=listener(ctx))

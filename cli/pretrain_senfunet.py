@@ -49,8 +49,8 @@ def command(
     """
     from ..recon.core.device import choose_device
     from ..recon.core.events import Note
-    from ..recon.pretrain.senfunet import SenfunetTraining, train_senfunet
-    from ..recon.pretrain.senfunet_scenes import collect_scene, load_scenes, save_scenes
+    from ..recon.methods.pretrain.senfunet import SenfunetTraining, train_senfunet
+    from ..recon.methods.pretrain.senfunet_scenes import collect_scene, load_scenes, save_scenes
 
     if bool(datasets) == bool(data):
         raise click.UsageError("give data sets, or --data with a file that --prepare made")

@@ -5,8 +5,8 @@ import torch
 from click.testing import CliRunner
 from uncle.cli.main import main
 from uncle.recon.methods.nice.decoder_files import load_decoders
-from uncle.recon.pretrain import decoder_run
-from uncle.recon.pretrain.decoder_training import DecoderTrainer, DecoderTraining
+from uncle.recon.methods.pretrain import decoder_run
+from uncle.recon.methods.pretrain.decoder_training import DecoderTrainer, DecoderTraining
 
 TINY = ["--steps", "4", "--cubes", "12", "--device", "cpu", "--seed", "3"]
 

@@ -7,8 +7,8 @@ import pytest
 import torch
 from uncle.recon.methods.confidence.network import confidence_image
 from uncle.recon.core.errors import ConfigError, DataError
-from uncle.recon.pretrain.confidence import ConfidenceTraining, confidence_loss, held_out, train_confidence
-from uncle.recon.pretrain.depth_pairs import DepthPairs, packed, spread, unpacked
+from uncle.recon.methods.pretrain.confidence import ConfidenceTraining, confidence_loss, held_out, train_confidence
+from uncle.recon.methods.pretrain.depth_pairs import DepthPairs, packed, spread, unpacked
 
 
 class Wall:

@@ -4,9 +4,9 @@ import pytest
 import torch
 from uncle.recon.methods.nice.decoder_files import shipped_decoders
 from uncle.recon.methods.nice.decoders import random_decoders
-from uncle.recon.pretrain.cubes import CubeBatch, cube_losses
-from uncle.recon.pretrain.decoder_scores import decoder_scores
-from uncle.recon.pretrain.decoder_training import DecoderTrainer, DecoderTraining
+from uncle.recon.methods.pretrain.cubes import CubeBatch, cube_losses
+from uncle.recon.methods.pretrain.decoder_scores import decoder_scores
+from uncle.recon.methods.pretrain.decoder_training import DecoderTrainer, DecoderTraining
 
 CPU = torch.device("cpu")
 TINY = DecoderTraining(steps=30, cubes=12, points=128, pool=512, life=24, free_points=256)

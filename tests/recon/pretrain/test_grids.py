@@ -2,7 +2,7 @@
 
 import pytest
 import torch
-from uncle.recon.pretrain.grids import EXTENT_M, FeatureGrids, look_up
+from uncle.recon.methods.pretrain.grids import EXTENT_M, FeatureGrids, look_up
 
 
 def test_lookup_reproduces_a_trilinear_function_in_world_axes():

@@ -4,8 +4,8 @@ import math
 
 import pytest
 import torch
-from uncle.recon.pretrain.crops import draw_crops, sample_crops
-from uncle.recon.pretrain.rooms import PIECES, Rooms, draw_rooms
+from uncle.recon.methods.pretrain.crops import draw_crops, sample_crops
+from uncle.recon.methods.pretrain.rooms import PIECES, Rooms, draw_rooms
 
 
 def bare_room(**parts) -> Rooms:

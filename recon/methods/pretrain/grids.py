@@ -5,7 +5,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from ..methods.nice.decoders import CHANNELS
+from ..nice.decoders import CHANNELS
 
 CELLS = {"middle": 4, "fine": 8}  # along the side of a cube: cells of 0.32 m and of 0.16 m
 EXTENT_M = 1.28

@@ -5,7 +5,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from ..methods.nice.decoders import OccupancyDecoders
+from ..nice.decoders import OccupancyDecoders
 from .cubes import CubeBatch, cube_logits, cube_losses
 
 UNSEEN_SEED = 777_000_000  # far from the seeds of trainings

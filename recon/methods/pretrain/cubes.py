@@ -6,7 +6,7 @@ import torch
 from torch import Tensor
 from torch.nn.functional import binary_cross_entropy_with_logits
 
-from ..methods.nice.decoders import OCCUPANCY_SLOPE, OccupancyDecoders
+from ..nice.decoders import OCCUPANCY_SLOPE, OccupancyDecoders
 from .crops import draw_crops, sample_crops
 from .grids import CELLS, EXTENT_M, FeatureGrids, look_up
 

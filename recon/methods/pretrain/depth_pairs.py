@@ -11,9 +11,9 @@ from typing import Protocol
 import numpy as np
 from torch import Tensor
 
-from ..core.errors import ConfigError, DataError
-from ..core.events import OnEvent, ignore, track_progress
-from ..core.files import DEPTH_UNITS_PER_M, atomic_path, encode_metres
+from ...core.errors import ConfigError, DataError
+from ...core.events import OnEvent, ignore, track_progress
+from ...core.files import DEPTH_UNITS_PER_M, atomic_path, encode_metres
 
 TRUTH = "gt"
 FORMAT = "uncle depth pairs"

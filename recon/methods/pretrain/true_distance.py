@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 from scipy.ndimage import binary_dilation
 
-from ..core.camera import Camera
-from ..core.events import OnEvent, ignore, track_progress
-from ..core.mesh import Mesh
+from ...core.camera import Camera
+from ...core.events import OnEvent, ignore, track_progress
+from ...core.mesh import Mesh
 
 _STEPS = 127.0  # the largest distance as a signed byte
 _SURE_M = 0.1  # before or behind the true depth of a pixel by more: no ray is needed to tell

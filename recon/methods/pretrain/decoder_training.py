@@ -14,7 +14,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from ..methods.nice.decoders import CHANNELS, EMBEDDING, OCCUPANCY_SLOPE, Decoder, OccupancyDecoders, random_decoders
+from ..nice.decoders import CHANNELS, EMBEDDING, OCCUPANCY_SLOPE, Decoder, OccupancyDecoders, random_decoders
 from .cubes import WORLD_M, CubeBatch, cube_logits, cube_losses
 from .grids import INITIAL_STD
 

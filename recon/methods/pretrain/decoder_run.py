@@ -12,11 +12,11 @@ from typing import Any
 
 import torch
 
-from ..checkpoint import Checkpoint
-from ..core.errors import ConfigError
-from ..core.events import Note, OnEvent, Progress, ignore
-from ..methods.nice.decoder_files import save_decoders
-from ..methods.nice.decoders import OccupancyDecoders
+from ...checkpoint import Checkpoint
+from ...core.errors import ConfigError
+from ...core.events import Note, OnEvent, Progress, ignore
+from ..nice.decoder_files import save_decoders
+from ..nice.decoders import OccupancyDecoders
 from .decoder_scores import decoder_scores
 from .decoder_training import DecoderTrainer, DecoderTraining
 
