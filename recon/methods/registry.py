@@ -24,8 +24,8 @@ from .online import OnlineSystem, map_online
 from ..pipeline import choose_device, choose_tracker, reconstruct
 from ..recording import RunFrames
 from ..run import RunDirectory
-from ..senfunet.fuse import fuse_senfunet, require_pair
-from ..senfunet.models import SenfunetModel
+from .senfunet.fuse import fuse_senfunet, require_pair
+from .senfunet.models import SenfunetModel
 from ..tracking import Tracker, require_found
 from ..tracking_record import TrackingRecord
 from .open3d_tsdf import fuse_open3d

@@ -14,10 +14,10 @@ from torch.nn.utils import clip_grad_norm_
 
 from ...core.events import OnEvent, Progress, ignore
 from ...grid import unique_blocks
-from ...senfunet.blending import fused_distance, single_sensor, weighting_inputs
-from ...senfunet.bricks import BRICK, brick_samples, inner_part
-from ...senfunet.models import SenfunetModel
-from ...senfunet.sensor_grid import SensorGrid, Update, ray_samples
+from ..senfunet.blending import fused_distance, single_sensor, weighting_inputs
+from ..senfunet.bricks import BRICK, brick_samples, inner_part
+from ..senfunet.models import SenfunetModel
+from ..senfunet.sensor_grid import SensorGrid, Update, ray_samples
 from .senfunet_scenes import Scene
 
 BOTH_WEIGHT, SINGLE_WEIGHT, OUTLIER_WEIGHT = 6.0, 0.01, 10.0

@@ -8,7 +8,7 @@ import torch
 from uncle.recon.core.errors import ConfigError, DataError
 from uncle.recon.methods.pretrain.senfunet import SenfunetTraining, is_outlier, measure, senfunet_loss, train_senfunet
 from uncle.recon.methods.pretrain.senfunet_scenes import Scene, collect_scene, load_scenes, save_scenes
-from uncle.recon.senfunet.models import SenfunetModel
+from uncle.recon.methods.senfunet.models import SenfunetModel
 
 
 class BoxSource:

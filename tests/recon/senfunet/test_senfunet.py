@@ -6,12 +6,12 @@ import torch
 from torch.nn.functional import conv2d, conv3d, pad
 from uncle.recon.core.camera import Camera
 from uncle.recon.core.errors import ConfigError
-from uncle.recon.senfunet.blending import believed, fused_distance, weighting_inputs
-from uncle.recon.senfunet.bricks import brick_samples, inner_part
-from uncle.recon.senfunet.fuse import require_pair
-from uncle.recon.senfunet.models import SHIPPED, SenfunetModel, shipped_pairs
-from uncle.recon.senfunet.network import HALO, PARAMETERS, FeatureNetwork, WeightingNetwork
-from uncle.recon.senfunet.sensor_grid import BORDER_PX, MAX_WEIGHT, SensorGrid, ray_samples
+from uncle.recon.methods.senfunet.blending import believed, fused_distance, weighting_inputs
+from uncle.recon.methods.senfunet.bricks import brick_samples, inner_part
+from uncle.recon.methods.senfunet.fuse import require_pair
+from uncle.recon.methods.senfunet.models import SHIPPED, SenfunetModel, shipped_pairs
+from uncle.recon.methods.senfunet.network import HALO, PARAMETERS, FeatureNetwork, WeightingNetwork
+from uncle.recon.methods.senfunet.sensor_grid import BORDER_PX, MAX_WEIGHT, SensorGrid, ray_samples
 
 GENERATOR = torch.Generator().manual_seed(0)
 

@@ -6,13 +6,13 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from ..core.config.map_config import MapConfig
-from ..core.errors import ConfigError
-from ..core.events import OnEvent, Progress, Warn, ignore, track_progress
-from ..field import NeuralField
-from ..core.frame import Frame
-from ..grid import SparseGrid, unique_blocks
-from ..recording import RunFrames
+from ...core.config.map_config import MapConfig
+from ...core.errors import ConfigError
+from ...core.events import OnEvent, Progress, Warn, ignore, track_progress
+from ...field import NeuralField
+from ...core.frame import Frame
+from ...grid import SparseGrid, unique_blocks
+from ...recording import RunFrames
 from .blending import believed, fused_distance, weighting_inputs
 from .bricks import brick_samples, inner_part
 from .models import SenfunetModel
