@@ -13,7 +13,7 @@ from .core.camera import Camera
 from .color_witness import ColorWitness
 from .core.config.map_config import UncertaintyConfig
 from .core.frame import Frame
-from .keyframes import RayStore
+from .methods.uncle.keyframes import RayStore
 from .sensor_bias import CONFIRMED, BiasTrial, SensorBias
 
 TRIAL_VIEWS = 40

@@ -13,8 +13,8 @@ from ..core.config.map_config import MapConfig
 from ..core.events import Note, OnEvent, Progress, ignore
 from ..field import NeuralField
 from ..core.frame import Frame
-from ..pipeline import OnBeta
-from ..progression import Timed
+from .uncle.pipeline import OnBeta
+from .uncle.progress import Timed
 from ..recording import RunFrames
 from ..tracking import require_found
 from ..tracking_record import Status, TrackedFrame, TrackingRecord

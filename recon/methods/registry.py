@@ -21,7 +21,7 @@ from .map_output import MapOutput
 from .nice.scene import choose_decoders
 from ..noise_prior import NoisePrior, save_noise_models
 from .online import OnlineSystem, map_online
-from ..pipeline import choose_device, choose_tracker, reconstruct
+from .uncle.pipeline import choose_device, choose_tracker, reconstruct
 from ..recording import RunFrames
 from ..run import RunDirectory
 from .senfunet.fuse import fuse_senfunet, require_pair

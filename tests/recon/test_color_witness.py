@@ -5,15 +5,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
-from uncle.recon import pipeline
+from uncle.recon.methods.uncle import pipeline
 from uncle.recon.checkpoint import Checkpoint
 from uncle.recon.color_depth import MIN_SOURCES
 from uncle.recon.color_witness import FULL_SIZE_PIXELS, ColorWitness
 from uncle.recon.core.config.map_config import ColorConfig, UncertaintyConfig, make_config
 from uncle.recon.core.events import Progress
 from uncle.recon.core.frame import Frame
-from uncle.recon.mapper import Mapper
-from uncle.recon.ray_readings import RayReadings
+from uncle.recon.methods.uncle.mapper import Mapper
+from uncle.recon.methods.uncle.ray_batch import RayReadings
 from uncle.recon.reading_worth import UNTESTED
 from uncle.recon.recording import RunFrames
 from uncle.recon.sensor_bias import CONFIRMED, REFUTED, BiasTrial, SensorBias

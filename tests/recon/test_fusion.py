@@ -8,7 +8,7 @@ from uncle.recon.core.camera import Camera
 from uncle.recon.core.config.map_config import make_config
 from uncle.recon.fusion import MAX_SIGMA_M, MIN_SIGMA_M, SHARED_ERROR, FreeSpace, FusionVolume
 from uncle.recon.grid import ROWS, SparseGrid
-from uncle.recon.mapper import Mapper
+from uncle.recon.methods.uncle.mapper import Mapper
 from uncle.recon.recording import RunFrames
 from uncle.recon.run import RunDirectory
 from uncle.recon.methods.registry.open3d_tsdf import fuse_open3d

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 from uncle.recon.core.config.map_config import UncertaintyConfig
-from uncle.recon.fusion_log import LEVER_M, FusionLog
+from uncle.recon.methods.uncle.fusion_log import LEVER_M, FusionLog
 from uncle.recon.noise_features import FEATURES
 from uncle.recon.core.se3 import moved
 from uncle.recon.uncertainty import NoiseModel, Residuals

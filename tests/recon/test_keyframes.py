@@ -5,7 +5,7 @@ import pytest
 import torch
 from uncle.recon.core.config.map_config import KeyframeConfig
 from uncle.recon.core.frame import Frame
-from uncle.recon.keyframes import KeyframeSelector, RayStore, mean_depth
+from uncle.recon.methods.uncle.keyframes import KeyframeSelector, RayStore, mean_depth
 
 
 @pytest.fixture

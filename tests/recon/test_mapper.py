@@ -5,7 +5,7 @@ import torch
 from uncle.recon.core.camera import Camera
 from uncle.recon.core.config.map_config import make_config
 from uncle.recon.core.frame import Frame
-from uncle.recon.mapper import Mapper
+from uncle.recon.methods.uncle.mapper import Mapper
 from uncle.recon.noise_features import FEATURES
 from uncle.recon.raycast import cast_rays
 from uncle.recon.reading_weights import DOUBT_BETAS

@@ -14,7 +14,7 @@ from uncle.recon.core.config.map_config import MapConfig, UncertaintyConfig, mak
 from uncle.recon.core.errors import ConfigError, RunError
 from uncle.recon.core.events import Progress, Warn
 from uncle.recon.map_stage import map_run
-from uncle.recon.mapper import Mapper
+from uncle.recon.methods.uncle.mapper import Mapper
 from uncle.recon.noise_features import FEATURES
 from uncle.recon.noise_prior import NoisePrior, save_noise_models
 from uncle.recon.recording import RunFrames

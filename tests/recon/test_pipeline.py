@@ -4,11 +4,11 @@ from types import SimpleNamespace
 
 import pytest
 import torch
-from uncle.recon import pipeline
+from uncle.recon.methods.uncle import pipeline
 from uncle.recon.checkpoint import Checkpoint
 from uncle.recon.core.config.map_config import make_config
-from uncle.recon.pipeline import reconstruct
-from uncle.recon.progression import Progression
+from uncle.recon.methods.uncle.pipeline import reconstruct
+from uncle.recon.methods.uncle.progress import Progression
 from uncle.recon.recording import RunFrames
 
 

@@ -4,15 +4,15 @@ from dataclasses import replace
 
 import pytest
 import torch
-from uncle.recon import refine as refinement
+from uncle.recon.methods.uncle import refinement as refinement
 from uncle.recon.core.camera import Camera
 from uncle.recon.core.config.map_config import FieldConfig
 from uncle.recon.core.events import Progress
 from uncle.recon.field import NeuralField
 from uncle.recon.fusion import FusionVolume
 from uncle.recon.grid import SparseGrid
-from uncle.recon.ray_readings import RayReadings
-from uncle.recon.refine import refine, render_rays, surface_depths
+from uncle.recon.methods.uncle.ray_batch import RayReadings
+from uncle.recon.methods.uncle.refinement import refine, render_rays, surface_depths
 
 CAMERA = Camera(80, 60, 60.0, 60.0, 39.5, 29.5)
 VOXEL, SHIFT, FAR, STEP, BETA = 0.02, 0.01, 3.0, 0.06, 0.05

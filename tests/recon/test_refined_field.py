@@ -6,7 +6,7 @@ import pytest
 from uncle.recon import refined_field as module
 from uncle.recon.checkpoint import Checkpoint
 from uncle.recon.core.config.map_config import make_config
-from uncle.recon.pipeline import reconstruct
+from uncle.recon.methods.uncle.pipeline import reconstruct
 from uncle.recon.recording import RunFrames
 from uncle.recon.refined_field import field_settings
 

@@ -8,9 +8,9 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from .color_witness import ColorWitness
+from ...color_witness import ColorWitness
 from .keyframes import RayStore
-from .uncertainty import START_BETA_M, NoiseModel
+from ...uncertainty import START_BETA_M, NoiseModel
 
 
 @dataclass(frozen=True)

@@ -8,23 +8,23 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from .core.camera import Camera
-from .color_witness import ColorWitness
-from .core.config.map_config import MapConfig
-from .core.frame import Frame
-from .fusion import FusionVolume
+from ...core.camera import Camera
+from ...color_witness import ColorWitness
+from ...core.config.map_config import MapConfig
+from ...core.frame import Frame
+from ...fusion import FusionVolume
 from .fusion_log import FusionLog
-from .grid import SparseGrid
+from ...grid import SparseGrid
 from .keyframes import KeyframeSelector, RayStore
-from .map_surface import MapSurface
-from .noise_features import noise_features
-from .ray_readings import RayReadings
-from .reading_weights import ReadingWeights
-from .reading_worth import UNTESTED, statements, worth_of_readings
-from .sensor_biases import SensorBiases
-from .sensor_health import SensorHealth
-from .stated_intervals import state_intervals
-from .uncertainty import NoiseModel, Residuals
+from ...map_surface import MapSurface
+from ...noise_features import noise_features
+from .ray_batch import RayReadings
+from ...reading_weights import ReadingWeights
+from ...reading_worth import UNTESTED, statements, worth_of_readings
+from ...sensor_biases import SensorBiases
+from ...sensor_health import SensorHealth
+from ...stated_intervals import state_intervals
+from ...uncertainty import NoiseModel, Residuals
 
 _MAX_SELF_SHARE = 0.9  # readings that make up more of the map than this say nothing about themselves
 

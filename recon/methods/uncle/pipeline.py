@@ -11,23 +11,23 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from .checkpoint import Checkpoint
-from .color_witness import MAX_REGISTRATION_PX
-from .core.config.map_config import MapConfig
-from .core.device import choose_device
-from .core.errors import DataError
-from .core.events import Note, OnEvent, Progress, ignore
-from .field import NeuralField
-from .core.frame import Frame
+from ...checkpoint import Checkpoint
+from ...color_witness import MAX_REGISTRATION_PX
+from ...core.config.map_config import MapConfig
+from ...core.device import choose_device
+from ...core.errors import DataError
+from ...core.events import Note, OnEvent, Progress, ignore
+from ...field import NeuralField
+from ...core.frame import Frame
 from .mapper import Mapper
-from .noise_prior import NoisePrior
-from .progression import Progression
-from .recording import RunFrames
-from .refined_field import refined_field
-from .sensor_biases import TRIAL_VIEWS
-from .tracking import GivenPoses, Tracker, require_found
-from .tracking.align import AlignTracker
-from .tracking_record import TrackingRecord
+from ...noise_prior import NoisePrior
+from .progress import Progression
+from ...recording import RunFrames
+from ...refined_field import refined_field
+from ...sensor_biases import TRIAL_VIEWS
+from ...tracking import GivenPoses, Tracker, require_found
+from ...tracking.align import AlignTracker
+from ...tracking_record import TrackingRecord
 
 # (frame index, sensor, beta (H, W) metres): called once for every mapped frame with the final noise models
 OnBeta = Callable[[int, str, Tensor], None]

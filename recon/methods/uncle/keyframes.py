@@ -5,9 +5,9 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from .core.camera import Camera
-from .core.config.map_config import KeyframeConfig
-from .core.frame import Frame
+from ...core.camera import Camera
+from ...core.config.map_config import KeyframeConfig
+from ...core.frame import Frame
 
 _PROBES = 400  # points of a frame that are looked for in earlier keyframes
 
