@@ -56,7 +56,7 @@ class Made:
 
 
 def _vox_fusion(frames: RunFrames, config: MapConfig, device: torch.device) -> OnlineSystem:
-    from ..vox.system import VoxSystem
+    from .vox.system import VoxSystem
 
     return VoxSystem(frames, config, device)
 

@@ -8,10 +8,10 @@ import pytest
 import torch
 from torch import Tensor
 from uncle.recon.core.config.vox import VoxConfig
-from uncle.recon.vox.losses import Targets
-from uncle.recon.vox.mapping import hit_alone, sample_rays
-from uncle.recon.vox.model import VoxModel
-from uncle.recon.vox.sampling import Samples
+from uncle.recon.methods.vox.losses import Targets
+from uncle.recon.methods.vox.mapping import hit_alone, sample_rays
+from uncle.recon.methods.vox.model import VoxModel
+from uncle.recon.methods.vox.sampling import Samples
 
 
 @dataclass

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import torch
 from uncle.recon.grid import SparseGrid
-from uncle.recon.vox.intersect import intersect, intersect_tensors
+from uncle.recon.methods.vox.intersect import intersect, intersect_tensors
 
 SIZE = 0.2
 

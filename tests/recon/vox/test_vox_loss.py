@@ -5,9 +5,9 @@ import math
 import pytest
 import torch
 from torch import Tensor
-from uncle.recon.vox import rendering
-from uncle.recon.vox.losses import Counts, Targets, vox_loss, without_outliers
-from uncle.recon.vox.rendering import bell_weights, render
+from uncle.recon.methods.vox import rendering
+from uncle.recon.methods.vox.losses import Counts, Targets, vox_loss, without_outliers
+from uncle.recon.methods.vox.rendering import bell_weights, render
 
 T = 0.05
 

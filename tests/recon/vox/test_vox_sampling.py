@@ -2,8 +2,8 @@
 
 import pytest
 import torch
-from uncle.recon.vox.intersect import Hits
-from uncle.recon.vox.sampling import Samples, place_samples
+from uncle.recon.methods.vox.intersect import Hits
+from uncle.recon.methods.vox.sampling import Samples, place_samples
 
 
 @pytest.fixture

@@ -10,7 +10,7 @@ from uncle.recon.map_stage import load_field, map_run
 from uncle.recon.mesh import make_mesh
 from uncle.recon.methods.registry.online import map_online
 from uncle.recon.recording import RunFrames
-from uncle.recon.vox.system import VoxSystem
+from uncle.recon.methods.vox.system import VoxSystem
 
 ROOM_M = np.array([4.0, 3.0, 2.5])
 SMALL = [

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 import torch
 from scipy.spatial.transform import Rotation
-from uncle.recon.vox import tracking
-from uncle.recon.vox.pose import moved, rotation
-from uncle.recon.vox.tracking import pose_loss
+from uncle.recon.methods.vox import tracking
+from uncle.recon.methods.vox.pose import moved, rotation
+from uncle.recon.methods.vox.tracking import pose_loss
 
 
 @pytest.mark.parametrize("vector", [[0.3, -1.2, 0.4], [1e-6, 2e-6, 0.0], [0.0, 0.0, 0.0], [0.0, 3.1, 0.0]])

@@ -4,8 +4,8 @@ import pytest
 import torch
 from torch.nn.functional import grid_sample
 from uncle.recon.grid import CORNERS
-from uncle.recon.vox.lookup import corner_weights, trilinear
-from uncle.recon.vox.voxels import VoxelMap
+from uncle.recon.methods.vox.lookup import corner_weights, trilinear
+from uncle.recon.methods.vox.voxels import VoxelMap
 
 
 @pytest.fixture

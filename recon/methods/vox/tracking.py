@@ -5,7 +5,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from ..core.config.vox import VoxConfig
+from ...core.config.vox import VoxConfig
 from .losses import Counts, Targets, vox_loss, without_outliers
 from .mapping import hit_alone, sample_rays
 from .model import VoxModel

@@ -11,7 +11,7 @@ import torch
 from torch import Tensor, nn, relu_
 from torch.nn.functional import linear
 
-from ..core.config.vox import VoxConfig
+from ...core.config.vox import VoxConfig
 from .lookup import trilinear
 from .voxels import VoxelMap
 

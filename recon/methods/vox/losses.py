@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from ..core.config.vox import VoxConfig
+from ...core.config.vox import VoxConfig
 from .rendering import Rendered
 from .sampling import Samples
 

@@ -9,9 +9,9 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from ..core.camera import Camera
-from ..core.frame import Frame
-from ..core.config.vox import VoxConfig
+from ...core.camera import Camera
+from ...core.frame import Frame
+from ...core.config.vox import VoxConfig
 from .losses import Targets
 
 

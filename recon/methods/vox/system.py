@@ -8,13 +8,13 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from ..core.config.map_config import MapConfig
-from ..core.events import OnEvent, track_progress
-from ..field import NeuralField
-from ..core.frame import Frame
-from ..methods.online import Found, Poses
-from ..recording import RunFrames
-from ..core.config.vox import VoxConfig
+from ...core.config.map_config import MapConfig
+from ...core.events import OnEvent, track_progress
+from ...field import NeuralField
+from ...core.frame import Frame
+from ..online import Found, Poses
+from ...recording import RunFrames
+from ...core.config.vox import VoxConfig
 from .mapping import VoxMapper
 from .model import VoxModel
 from .surface import MAX_VIEWS, SampledSurface
