@@ -6,8 +6,8 @@ import cv2
 import numpy as np
 import pytest
 from uncle.recon.core.camera import Camera
-from uncle.recon.color_depth import FEATURES, SOURCES, ColorDepth, choose_sources, depth_by_color, disagreement
-from uncle.recon.photo_match import GreyView
+from uncle.recon.mvs.plane_sweep import FEATURES, SOURCES, ColorDepth, choose_sources, depth_by_color, disagreement
+from uncle.recon.mvs.cost_volume import GreyView
 
 CAMERA = Camera(80, 60, 60.0, 60.0, 39.5, 29.5)
 

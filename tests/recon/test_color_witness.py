@@ -7,16 +7,16 @@ import pytest
 import torch
 from uncle.recon.methods.uncle import pipeline
 from uncle.recon.checkpoint import Checkpoint
-from uncle.recon.color_depth import MIN_SOURCES
-from uncle.recon.color_witness import FULL_SIZE_PIXELS, ColorWitness
+from uncle.recon.mvs.plane_sweep import MIN_SOURCES
+from uncle.recon.mvs.photometric_depth import FULL_SIZE_PIXELS, ColorWitness
 from uncle.recon.core.config.map_config import ColorConfig, UncertaintyConfig, make_config
 from uncle.recon.core.events import Progress
 from uncle.recon.core.frame import Frame
 from uncle.recon.methods.uncle.mapper import Mapper
 from uncle.recon.methods.uncle.ray_batch import RayReadings
-from uncle.recon.reading_worth import UNTESTED
+from uncle.recon.mvs.sensor_reliability import UNTESTED
 from uncle.recon.recording import RunFrames
-from uncle.recon.sensor_bias import CONFIRMED, REFUTED, BiasTrial, SensorBias
+from uncle.recon.mvs.bias_model import CONFIRMED, REFUTED, BiasTrial, SensorBias
 from uncle.recon.core.mesh_raycaster import Surface
 
 STEPS = UncertaintyConfig(steps_per_sweep=150, learning_rate=0.01)

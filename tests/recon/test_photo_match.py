@@ -6,7 +6,7 @@ from numpy.lib.stride_tricks import sliding_window_view
 from scipy.ndimage import gaussian_filter, map_coordinates
 from scipy.spatial.transform import Rotation
 from uncle.recon.core.camera import Camera
-from uncle.recon.photo_match import NOISE, WINDOW, GreyView, agreement_volume, texture
+from uncle.recon.mvs.cost_volume import NOISE, WINDOW, GreyView, agreement_volume, texture
 
 CAMERA = Camera(48, 36, 40.0, 42.0, 23.0, 18.0)
 HALF = WINDOW // 2

@@ -6,7 +6,7 @@ import torch
 from uncle.recon.core.camera import Camera
 from uncle.recon.core.config.map_config import UncertaintyConfig
 from uncle.recon.noise_features import FEATURES, noise_features, relative_spread
-from uncle.recon.sensor_bias import MIN_VIEWS, BiasTrial, SensorBias
+from uncle.recon.mvs.bias_model import MIN_VIEWS, BiasTrial, SensorBias
 from uncle.recon.uncertainty import Residuals
 
 CONFIG = UncertaintyConfig(batch=1024, learning_rate=0.01)

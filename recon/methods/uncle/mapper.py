@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from ...core.camera import Camera
-from ...color_witness import ColorWitness
+from ...mvs.photometric_depth import ColorWitness
 from ...core.config.map_config import MapConfig
 from ...core.frame import Frame
 from ...fusion import FusionVolume
@@ -20,8 +20,8 @@ from ...map_surface import MapSurface
 from ...noise_features import noise_features
 from .ray_batch import RayReadings
 from ...reading_weights import ReadingWeights
-from ...reading_worth import UNTESTED, statements, worth_of_readings
-from ...sensor_biases import SensorBiases
+from ...mvs.sensor_reliability import UNTESTED, statements, worth_of_readings
+from ...mvs.bias_correction import SensorBiases
 from ...sensor_health import SensorHealth
 from ...stated_intervals import state_intervals
 from ...uncertainty import NoiseModel, Residuals

@@ -12,7 +12,7 @@ import torch
 from torch import Tensor
 
 from ...checkpoint import Checkpoint
-from ...color_witness import MAX_REGISTRATION_PX
+from ...mvs.photometric_depth import MAX_REGISTRATION_PX
 from ...core.config.map_config import MapConfig
 from ...core.device import choose_device
 from ...core.errors import DataError
@@ -24,7 +24,7 @@ from ...noise_prior import NoisePrior
 from .progress import Progression
 from ...recording import RunFrames
 from ...refined_field import refined_field
-from ...sensor_biases import TRIAL_VIEWS
+from ...mvs.bias_correction import TRIAL_VIEWS
 from ...tracking import GivenPoses, Tracker, require_found
 from ...tracking.align import AlignTracker
 from ...tracking_record import TrackingRecord

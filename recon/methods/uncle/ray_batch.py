@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from ...color_witness import ColorWitness
+from ...mvs.photometric_depth import ColorWitness
 from .keyframes import RayStore
 from ...uncertainty import START_BETA_M, NoiseModel
 

@@ -9,12 +9,12 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from .core.camera import Camera
-from .color_witness import ColorWitness
-from .core.config.map_config import UncertaintyConfig
-from .core.frame import Frame
-from .methods.uncle.keyframes import RayStore
-from .sensor_bias import CONFIRMED, BiasTrial, SensorBias
+from ..core.camera import Camera
+from .photometric_depth import ColorWitness
+from ..core.config.map_config import UncertaintyConfig
+from ..core.frame import Frame
+from ..methods.uncle.keyframes import RayStore
+from .bias_model import CONFIRMED, BiasTrial, SensorBias
 
 TRIAL_VIEWS = 40
 

@@ -12,7 +12,7 @@ import cv2
 import numpy as np
 from numba import njit
 
-from .core.camera import Camera
+from ..core.camera import Camera
 
 WINDOW = 9  # pixels
 NOISE = 1.0  # grey levels squared: what two images differ by where there is nothing to see

@@ -13,16 +13,16 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from .core.camera import Camera
-from .color_depth import FEATURES, MIN_SOURCES, ColorDepth, choose_sources, depth_by_color, disagreement
-from .core.config.map_config import ColorConfig, UncertaintyConfig
-from .core.events import OnEvent, ignore, track_progress
-from .core.frame import Frame
-from .map_surface import MapSurface
-from .photo_match import GreyView
-from .recording import RunFrames
-from .sensor_bias import CONFIRMED, REFUTED, SensorBias
-from .uncertainty import NoiseModel, Residuals
+from ..core.camera import Camera
+from .plane_sweep import FEATURES, MIN_SOURCES, ColorDepth, choose_sources, depth_by_color, disagreement
+from ..core.config.map_config import ColorConfig, UncertaintyConfig
+from ..core.events import OnEvent, ignore, track_progress
+from ..core.frame import Frame
+from ..map_surface import MapSurface
+from .cost_volume import GreyView
+from ..recording import RunFrames
+from .bias_model import CONFIRMED, REFUTED, SensorBias
+from ..uncertainty import NoiseModel, Residuals
 
 FULL_SIZE_PIXELS = 200_000  # larger images are halved: finer pixels than the map's samples cost time only
 SAMPLES = 4000  # pixels of a view that teach

@@ -15,9 +15,9 @@ from typing import Protocol
 import cv2
 import numpy as np
 
-from .core.camera import Camera
-from .photo_match import GreyView, agreement_volume, texture
-from .evaluation.visibility import project_into
+from ..core.camera import Camera
+from .cost_volume import GreyView, agreement_volume, texture
+from ..evaluation.visibility import project_into
 
 SOURCES = 6
 MIN_SOURCES = 2

@@ -15,11 +15,11 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from .core.camera import Camera
-from .color_depth import disagreement
-from .core.config.map_config import UncertaintyConfig
-from .noise_features import FEATURES, relative_spread
-from .uncertainty import PixelNetwork, Residuals
+from ..core.camera import Camera
+from .plane_sweep import disagreement
+from ..core.config.map_config import UncertaintyConfig
+from ..noise_features import FEATURES, relative_spread
+from ..uncertainty import PixelNetwork, Residuals
 
 UNIT_M = 0.1  # of the network's output
 EDGE = 0.05  # of the depth, its spread around a pixel: windows of colour hold two surfaces there, and find neither

@@ -1,0 +1,1 @@
+"""Plane-sweep stereo around the current surface, and what it tells about the depth sensors."""
