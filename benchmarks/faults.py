@@ -20,7 +20,7 @@ from uncle.recon.evaluation.bench.tables import cell, markdown_table
 from uncle.recon.core.errors import UncleError
 from uncle.recon.core.frame import Frame, Recording
 from uncle.recon.preprocess import preprocess
-from uncle.recon.run import RunDirectory
+from uncle.recon.run.directory.directory import RunDirectory
 
 FAULTS = ("none", "zero", "frozen", "shifted")
 SHIFT_M = 0.2

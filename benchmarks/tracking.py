@@ -17,7 +17,7 @@ from uncle.recon.evaluation.bench.process import LAUNCHER, Record, map_facts, ne
 from uncle.recon.evaluation.bench.scores import surface_scores
 from uncle.recon.evaluation.bench.tables import cell, markdown_table, ratio
 from uncle.recon.core.errors import DataError, RunError, UncleError
-from uncle.recon.tracking_record import TrackingRecord
+from uncle.recon.run.directory.tracking_record import TrackingRecord
 from uncle.recon.core.trajectory import Trajectory
 from uncle.recon.evaluation.trajectory_metrics import evaluate_trajectory
 

@@ -131,7 +131,7 @@ def _evaluate_mesh(
     mesh_path: Path, gt_path: Path, settings: EvalSettings, cull: Path | None, error_mesh: Path | None, as_json: bool
 ) -> None:
     from ..recon.core.mesh import Mesh
-    from ..recon.run import RunDirectory
+    from ..recon.run.directory import RunDirectory
     from ..recon.evaluation.run_metrics import score_surface, to_plain, write_error_mesh
     from ..recon.evaluation.visibility import Visibility
 
@@ -162,7 +162,7 @@ def _evaluate_run(
     from ..recon.core.errors import DataError
     from ..recon.core.events import Warn
     from ..recon.core.mesh import Mesh
-    from ..recon.run import RunDirectory
+    from ..recon.run.directory import RunDirectory
     from ..recon.evaluation.run_metrics import evaluate_run, load_reference, to_plain, write_error_mesh
 
     run = RunDirectory(run_path)

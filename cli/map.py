@@ -52,7 +52,7 @@ def command(
     from ..recon.core.events import Note
     from ..recon.map_stage import map_run
     from ..recon.noise_prior import NoisePrior
-    from ..recon.run import RunDirectory
+    from ..recon.run.directory import RunDirectory
 
     if not color and not track:
         raise click.UsageError("--no-color is about tracking; add --track")

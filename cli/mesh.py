@@ -29,7 +29,7 @@ def command(
     """Extract the surface of a finished map as PLY: colour, and confidence (1 sigma, metres) per vertex."""
     from ..recon.core.events import Note
     from ..recon.mesh_stage import mesh_run
-    from ..recon.run import RunDirectory
+    from ..recon.run.directory import RunDirectory
 
     say = listener(ctx)
     summary = mesh_run(

@@ -37,7 +37,7 @@ def command(
     from ..datasets import open_dataset
     from ..recon.core.events import Note
     from ..recon.preprocess import preprocess
-    from ..recon.run import RunDirectory
+    from ..recon.run.directory import RunDirectory
 
     on_event = listener(ctx)
     recording = open_dataset(dataset, format_name)

@@ -61,7 +61,7 @@ def command(
     Without MESH, or with a run directory in its place, the mesh of the run is drawn from the run's cameras, and each
     sensor's depth and beta maps beside it. The path of every sheet is printed.
     """
-    from ..recon.run import RunDirectory
+    from ..recon.run.directory import RunDirectory
     from ..recon.snapshot_stage import snapshot_file, snapshot_run
 
     options = {"modes": modes or None, "size": size, "renderer": renderer, "on_event": listener(ctx)}

@@ -8,14 +8,14 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from ..datasets.recording import FileRecording
-    from ..recon.recording import RunFrames
+    from ..recon.run.frames import RunFrames
 
 
 def open_sources(paths: Sequence[Path]) -> Iterator[tuple[str, FileRecording | RunFrames]]:
     """Name and frames of each data set or run directory. Raises DataError, RunError."""
     from ..datasets import open_dataset
-    from ..recon.recording import RunFrames
-    from ..recon.run import RunDirectory
+    from ..recon.run.frames import RunFrames
+    from ..recon.run.directory import RunDirectory
 
     for path in paths:
         is_run = (path / "manifest.json").is_file()

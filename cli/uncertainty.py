@@ -33,7 +33,7 @@ def command(
     uncle uncertainty --sensor sgm --frame 40 --out pictures
     """
     from ..recon.core.events import Note
-    from ..recon.run import RunDirectory
+    from ..recon.run.directory import RunDirectory
     from ..recon.evaluation.run_metrics import to_plain
     from ..recon.uncertainty_stage import uncertainty_run
     from ..recon.evaluation.sensor_summary import summary_table

@@ -9,7 +9,7 @@ from pathlib import Path
 from .core.events import OnEvent, ignore
 from .map_stage import load_field
 from .mesh import make_mesh
-from .run import RunDirectory, config_hash
+from .run.directory import RunDirectory, config_hash
 from .core.trajectory import Trajectory
 
 STAGE = "mesh"

@@ -11,11 +11,11 @@ from typing import Any
 
 import torch
 
-from .checkpoint import load_versioned, save_tensors
+from .run.checkpoint import load_versioned, save_tensors
 from .core.config.map_config import UncertaintyConfig
 from .core.errors import ConfigError, RunError
 from .noise_features import FEATURES
-from .run import RunDirectory
+from .run.directory import RunDirectory
 from .uncertainty import NoiseModel
 
 FORMAT, VERSION = "uncle noise models", 1

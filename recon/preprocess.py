@@ -21,7 +21,7 @@ from .conversion import FrameConverter, FrameResult
 from .core.errors import DataError, RunError
 from .core.events import Note, OnEvent, Warn, ignore, track_progress
 from .core.frame import Recording
-from .run import FrameRecord, Manifest, RunDirectory, config_hash
+from .run.directory import FrameRecord, Manifest, RunDirectory, config_hash
 from .core.files import explain_write_errors, write_text
 from .core.trajectory import Trajectory
 

@@ -7,7 +7,7 @@ from pathlib import Path
 from .evaluation.trajectory_pair import CameraPath
 from .core.errors import DataError
 from .core.html import embed_picture, explain, missing, table
-from .run import RunDirectory
+from .run.directory import RunDirectory
 from .evaluation.run_trajectory import score_tracking, score_trajectory
 from .evaluation.tracking_metrics import describe_lost
 from .trajectory_charts import draw_camera_path

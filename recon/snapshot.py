@@ -14,8 +14,8 @@ from .core.errors import ConfigError, DataError, DependencyError, RunError
 from .core.events import Note, OnEvent, Warn, ignore
 from .core.mesh import Mesh
 from .raycast_view import Pictures
-from .recording import RunFrames
-from .run import RunDirectory
+from .run.frames import RunFrames
+from .run.directory import RunDirectory
 from .shading import Geometry, Layer
 from .core.files import write_bytes, write_image
 from .core.trajectory import Trajectory

@@ -12,8 +12,8 @@ import pytest
 import torch
 from uncle.recon.core.camera import Camera
 from uncle.recon.core.mesh import Mesh
-from uncle.recon.recording import encode_normals
-from uncle.recon.run import FrameRecord, Manifest, RunDirectory
+from uncle.recon.run.directory.frames import encode_normals
+from uncle.recon.run.directory.directory import FrameRecord, Manifest, RunDirectory
 from uncle.recon.core.files import BETA_UNITS_PER_M, DEPTH_UNITS_PER_M, encode_metres, write_image, write_text
 from uncle.recon.core.trajectory import Trajectory
 

@@ -13,7 +13,7 @@ from uncle.datasets.synth.write import make_dataset
 from uncle.recon.evaluation.bench.scores import UNCERTAINTY
 from uncle.recon.core.errors import RunError
 from uncle.recon.core.frame import Frame
-from uncle.recon.tracking_record import TrackedFrame, TrackingRecord
+from uncle.recon.run.directory.tracking_record import TrackedFrame, TrackingRecord
 from uncle.recon.core.trajectory import Trajectory
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "benchmarks"))  # the programs import each other by their bare names

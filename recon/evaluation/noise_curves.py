@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..core.errors import DataError
-from ..recording import RunFrames
+from ..run.frames import RunFrames
 from ..sensor_pictures import read_sensor_frame, spread_frames
 
 _FRAMES = 12

@@ -20,8 +20,8 @@ from ..core.errors import DataError, RunError, UncleError
 from ..core.events import Note, OnEvent, ignore, track_progress
 from ..core.mesh import Mesh
 from .mesh_metrics import CompletenessTarget, MeshMetrics, Protocol, color_by_distance, evaluate_mesh, moved
-from ..recording import RunFrames
-from ..run import Manifest, RunDirectory
+from ..run.frames import RunFrames
+from ..run.directory import Manifest, RunDirectory
 from .run_trajectory import score_tracking, score_trajectory
 from ..core.files import write_text
 from .tracking_metrics import TrackingMetrics

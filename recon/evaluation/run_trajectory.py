@@ -8,10 +8,10 @@ import numpy as np
 
 from .trajectory_pair import CameraPath
 from ..core.errors import DataError
-from ..recording import RunFrames
-from ..run import RunDirectory
+from ..run.frames import RunFrames
+from ..run.directory import RunDirectory
 from .tracking_metrics import TrackingMetrics, evaluate_tracking, rows_at
-from ..tracking_record import TrackingRecord
+from ..run.tracking_record import TrackingRecord
 from .trajectory_metrics import TrajectoryMetrics, evaluate_trajectory
 
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from .uncertainty_calibration import UncertaintyMetrics
 from .noise_curves import Readings
-from ..run import RunDirectory
+from ..run.directory import RunDirectory
 from ..uncertainty_table import uncertainty_rows
 
 DISTANCES_M = (1, 2, 3, 5)

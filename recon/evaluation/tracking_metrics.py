@@ -9,7 +9,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
-from ..tracking_record import Status, TrackingRecord
+from ..run.tracking_record import Status, TrackingRecord
 from .trajectory_metrics import MatchedPoses
 
 _SAME_TIME_S = 1e-4  # a trajectory file holds microseconds

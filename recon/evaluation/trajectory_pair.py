@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 
 from ..core.errors import DataError
-from ..run import RunDirectory
-from ..tracking_record import TrackingRecord
+from ..run.directory import RunDirectory
+from ..run.tracking_record import TrackingRecord
 from ..core.trajectory import Trajectory
 from .trajectory_metrics import MatchedPoses, has_clock
 

@@ -11,8 +11,8 @@ import numpy as np
 from ..core.camera import Camera
 from ..core.errors import DataError, RunError
 from ..core.mesh import Mesh
-from ..recording import RunFrames
-from ..run import RunDirectory
+from ..run.frames import RunFrames
+from ..run.directory import RunDirectory
 from ..core.mesh_raycaster import Surface
 
 GROUND_TRUTH_SENSOR = "gt"

@@ -11,7 +11,7 @@ from torch import Tensor
 
 from .. import sensor_record
 from ..core.events import OnEvent, Warn
-from ..run import RunDirectory
+from ..run.directory import RunDirectory
 from ..sensor_health import SensorHealth
 from ..core.files import BETA_UNITS_PER_M, encode_metres, explain_write_errors, write_image, write_text
 

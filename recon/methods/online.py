@@ -8,16 +8,16 @@ from typing import Any, Protocol
 import numpy as np
 from torch import Tensor
 
-from ..checkpoint import Checkpoint
+from ..run.checkpoint import Checkpoint
 from ..core.config.map_config import MapConfig
 from ..core.events import Note, OnEvent, Progress, ignore
 from ..field import NeuralField
 from ..core.frame import Frame
 from .uncle.pipeline import OnBeta
 from .uncle.progress import Timed
-from ..recording import RunFrames
+from ..run.frames import RunFrames
 from ..tracking import require_found
-from ..tracking_record import Status, TrackedFrame, TrackingRecord
+from ..run.tracking_record import Status, TrackedFrame, TrackingRecord
 
 Poses = dict[int, np.ndarray]  # frame index -> T_world_camera (4, 4) float64
 

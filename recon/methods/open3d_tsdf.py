@@ -10,7 +10,7 @@ from ..core.config.map_config import MapConfig
 from ..core.events import OnEvent, Progress, ignore
 from ..field import NeuralField
 from ..grid import BLOCK, ROWS, SparseGrid
-from ..recording import RunFrames
+from ..run.frames import RunFrames
 
 _RESOLUTION = 16  # samples along the side of an Open3D block
 _START_BLOCKS = 3000  # grows as needed; each takes 80 kB

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import torch
 
-from ..checkpoint import Checkpoint, save_tensors
+from ..run.checkpoint import Checkpoint, save_tensors
 from .confidence.models import ConfidenceModels
 from ..core.config.map_config import MapConfig
 from ..core.errors import DataError
@@ -22,12 +22,12 @@ from .nice.scene import choose_decoders
 from ..noise_prior import NoisePrior, save_noise_models
 from .online import OnlineSystem, map_online
 from .uncle.pipeline import choose_device, choose_tracker, reconstruct
-from ..recording import RunFrames
-from ..run import RunDirectory
+from ..run.frames import RunFrames
+from ..run.directory import RunDirectory
 from .senfunet.fuse import fuse_senfunet, require_pair
 from .senfunet.models import SenfunetModel
 from ..tracking import Tracker, require_found
-from ..tracking_record import TrackingRecord
+from ..run.tracking_record import TrackingRecord
 from .open3d_tsdf import fuse_open3d
 
 

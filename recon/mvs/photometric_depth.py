@@ -20,7 +20,7 @@ from ..core.events import OnEvent, ignore, track_progress
 from ..core.frame import Frame
 from ..map_surface import MapSurface
 from .cost_volume import GreyView
-from ..recording import RunFrames
+from ..run.frames import RunFrames
 from .bias_model import CONFIRMED, REFUTED, SensorBias
 from ..uncertainty import NoiseModel, Residuals
 

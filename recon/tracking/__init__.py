@@ -9,7 +9,7 @@ from torch import Tensor
 
 from ..core.errors import DataError
 from ..core.frame import Frame
-from ..tracking_record import TrackingRecord
+from ..run.tracking_record import TrackingRecord
 
 
 class Tracker(Protocol):

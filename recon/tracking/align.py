@@ -15,7 +15,7 @@ from ..core.camera import Camera
 from ..core.config.map_config import TrackingConfig
 from ..core.frame import Frame
 from ..fusion import FusionVolume
-from ..tracking_record import Status, TrackedFrame, TrackingRecord
+from ..run.tracking_record import Status, TrackedFrame, TrackingRecord
 from ..uncertainty import NoiseModel
 from . import graph_state
 from .keyframe_graph import KeyframeGraph

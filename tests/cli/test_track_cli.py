@@ -9,7 +9,7 @@ import pytest
 from click.testing import CliRunner, Result
 from uncle.cli.main import main
 from uncle.datasets.synth.write import make_dataset
-from uncle.recon.tracking_record import TrackingRecord
+from uncle.recon.run.directory.tracking_record import TrackingRecord
 from uncle.recon.core.trajectory import Trajectory
 
 FRAMES = 24

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 import torch
-from uncle.recon.checkpoint import VERSION, Checkpoint, load_tensors, save_tensors
+from uncle.recon.run.directory.checkpoint import VERSION, Checkpoint, load_tensors, save_tensors
 from uncle.recon.core.errors import RunError
 
 
@@ -36,7 +36,7 @@ def test_only_the_same_settings_continue(tmp_path):
 def test_states_of_another_version_are_not_continued(tmp_path, monkeypatch):
     kept = Checkpoint(tmp_path / "checkpoint.pt", "one")
     kept.save({"x": 1})
-    monkeypatch.setattr("uncle.recon.checkpoint.VERSION", VERSION + 1)
+    monkeypatch.setattr("uncle.recon.run.checkpoint.VERSION", VERSION + 1)
     assert kept.load() is None
     save_tensors(kept.path, {"config_hash": "one", "x": 1})  # from before there were versions
     assert kept.load() is None

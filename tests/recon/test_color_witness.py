@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 from uncle.recon.methods.uncle import pipeline
-from uncle.recon.checkpoint import Checkpoint
+from uncle.recon.run.directory.checkpoint import Checkpoint
 from uncle.recon.mvs.plane_sweep import MIN_SOURCES
 from uncle.recon.mvs.photometric_depth import FULL_SIZE_PIXELS, ColorWitness
 from uncle.recon.core.config.map_config import ColorConfig, UncertaintyConfig, make_config
@@ -15,7 +15,7 @@ from uncle.recon.core.frame import Frame
 from uncle.recon.methods.uncle.mapper import Mapper
 from uncle.recon.methods.uncle.ray_batch import RayReadings
 from uncle.recon.mvs.sensor_reliability import UNTESTED
-from uncle.recon.recording import RunFrames
+from uncle.recon.run.directory.frames import RunFrames
 from uncle.recon.mvs.bias_model import CONFIRMED, REFUTED, BiasTrial, SensorBias
 from uncle.recon.core.mesh_raycaster import Surface
 

@@ -3,7 +3,7 @@
 import pytest
 import torch
 from uncle.recon.core.camera import Camera
-from uncle.recon.checkpoint import load_tensors, save_tensors
+from uncle.recon.run.directory.checkpoint import load_tensors, save_tensors
 from uncle.recon.core.config.map_config import FieldConfig
 from uncle.recon.field import ACTIVE_VOXELS, NeuralField
 from uncle.recon.fusion import FusionVolume

@@ -9,8 +9,8 @@ from uncle.recon.core.config.map_config import make_config
 from uncle.recon.fusion import MAX_SIGMA_M, MIN_SIGMA_M, SHARED_ERROR, FreeSpace, FusionVolume
 from uncle.recon.grid import ROWS, SparseGrid
 from uncle.recon.methods.uncle.mapper import Mapper
-from uncle.recon.recording import RunFrames
-from uncle.recon.run import RunDirectory
+from uncle.recon.run.directory.frames import RunFrames
+from uncle.recon.run.directory.directory import RunDirectory
 from uncle.recon.methods.registry.open3d_tsdf import fuse_open3d
 
 CAMERA = Camera(80, 60, 60.0, 60.0, 39.5, 29.5)

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import torch
 from uncle.recon import map_stage, noise_prior
-from uncle.recon.checkpoint import Checkpoint, load_tensors, save_tensors
+from uncle.recon.run.directory.checkpoint import Checkpoint, load_tensors, save_tensors
 from uncle.recon.core.config.map_config import MapConfig, UncertaintyConfig, make_config
 from uncle.recon.core.errors import ConfigError, RunError
 from uncle.recon.core.events import Progress, Warn
@@ -17,8 +17,8 @@ from uncle.recon.map_stage import map_run
 from uncle.recon.methods.uncle.mapper import Mapper
 from uncle.recon.noise_features import FEATURES
 from uncle.recon.noise_prior import NoisePrior, save_noise_models
-from uncle.recon.recording import RunFrames
-from uncle.recon.run import RunDirectory
+from uncle.recon.run.directory.frames import RunFrames
+from uncle.recon.run.directory.directory import RunDirectory
 from uncle.recon.uncertainty import NoiseModel, Residuals
 
 QUICK = [

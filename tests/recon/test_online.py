@@ -7,7 +7,7 @@ import pytest
 import torch
 from uncle.recon import map_stage
 from uncle.recon.methods.registry import registry as methods
-from uncle.recon.checkpoint import Checkpoint, load_tensors
+from uncle.recon.run.directory.checkpoint import Checkpoint, load_tensors
 from uncle.recon.core.config.map_config import make_config
 from uncle.recon.core.errors import DataError
 from uncle.recon.core.events import Progress
@@ -15,8 +15,8 @@ from uncle.recon.field import NeuralField
 from uncle.recon.grid import SparseGrid
 from uncle.recon.map_stage import load_field, map_run
 from uncle.recon.methods.registry.online import Found
-from uncle.recon.recording import RunFrames
-from uncle.recon.tracking_record import TrackingRecord
+from uncle.recon.run.directory.frames import RunFrames
+from uncle.recon.run.directory.tracking_record import TrackingRecord
 from uncle.recon.core.trajectory import Trajectory
 
 calls = []

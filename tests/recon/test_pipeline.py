@@ -5,11 +5,11 @@ from types import SimpleNamespace
 import pytest
 import torch
 from uncle.recon.methods.uncle import pipeline
-from uncle.recon.checkpoint import Checkpoint
+from uncle.recon.run.directory.checkpoint import Checkpoint
 from uncle.recon.core.config.map_config import make_config
 from uncle.recon.methods.uncle.pipeline import reconstruct
 from uncle.recon.methods.uncle.progress import Progression
-from uncle.recon.recording import RunFrames
+from uncle.recon.run.directory.frames import RunFrames
 
 
 def test_every_sweep_counts_every_reading_once(make_mappable_run, tmp_path):

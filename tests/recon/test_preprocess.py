@@ -15,8 +15,8 @@ from uncle.recon.core.camera import Camera
 from uncle.recon.core.errors import DataError, FrameError, RunError
 from uncle.recon.core.events import Note, Progress, Warn
 from uncle.recon.core.frame import Frame
-from uncle.recon.recording import RunFrames
-from uncle.recon.run import FrameRecord, RunDirectory
+from uncle.recon.run.directory.frames import RunFrames
+from uncle.recon.run.directory.directory import FrameRecord, RunDirectory
 from uncle.recon.core.trajectory import Trajectory
 
 CAMERA = Camera(48, 36, 40.0, 40.0, 23.5, 17.5)

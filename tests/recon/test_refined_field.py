@@ -4,10 +4,10 @@ from types import SimpleNamespace
 
 import pytest
 from uncle.recon import refined_field as module
-from uncle.recon.checkpoint import Checkpoint
+from uncle.recon.run.directory.checkpoint import Checkpoint
 from uncle.recon.core.config.map_config import make_config
 from uncle.recon.methods.uncle.pipeline import reconstruct
-from uncle.recon.recording import RunFrames
+from uncle.recon.run.directory.frames import RunFrames
 from uncle.recon.refined_field import field_settings
 
 

@@ -10,8 +10,8 @@ import pytest
 from uncle.recon.core.errors import DataError, RunError
 from uncle.recon.core.events import Progress
 from uncle.recon.core.mesh import Mesh
-from uncle.recon.recording import RunFrames
-from uncle.recon.run import RunDirectory
+from uncle.recon.run.directory.frames import RunFrames
+from uncle.recon.run.directory.directory import RunDirectory
 from uncle.recon.evaluation.run_metrics import EvalSettings, evaluate_run, score_surface, to_plain, write_error_mesh
 from uncle.recon.core.trajectory import Trajectory
 from uncle.recon.evaluation.visibility import Visibility

@@ -8,7 +8,7 @@ from uncle.recon.core.errors import DataError, RunError
 from uncle.recon.report_camera import camera_section
 from uncle.recon.evaluation.run_metrics import EvalSettings, evaluate_run, to_plain
 from uncle.recon.evaluation.run_trajectory import score_tracking, score_trajectory
-from uncle.recon.tracking_record import TrackedFrame, TrackingRecord
+from uncle.recon.run.directory.tracking_record import TrackedFrame, TrackingRecord
 from uncle.recon.core.trajectory import Trajectory
 
 LOST = (4, 5, 9)

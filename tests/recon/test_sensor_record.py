@@ -3,7 +3,7 @@
 import json
 
 from uncle.recon.report import _faults
-from uncle.recon.run import RunDirectory
+from uncle.recon.run.directory.directory import RunDirectory
 from uncle.recon.sensor_record import Stretch, describe, save, stretches
 
 

@@ -8,7 +8,7 @@ from uncle.recon.core.camera import Camera
 from uncle.recon.core.errors import ConfigError, DataError, DependencyError, RunError
 from uncle.recon.core.events import Note, Warn
 from uncle.recon.core.mesh import Mesh
-from uncle.recon.run import RunDirectory
+from uncle.recon.run.directory.directory import RunDirectory
 from uncle.recon.shading import Geometry, light_triangles
 from uncle.recon.snapshot import RENDERERS, draw_mesh, load_run_mesh, snapshot_views, surface_distance
 from uncle.recon.views import View, guess_up, mesh_views, run_views, spread_poses, trajectory_up

@@ -7,7 +7,7 @@ import open3d as o3d
 import pytest
 import torch
 from uncle.recon.core.errors import DataError, RunError
-from uncle.recon.run import RunDirectory
+from uncle.recon.run.directory.directory import RunDirectory
 from uncle.recon.core.mesh_raycaster import Surface
 from uncle.recon.evaluation.visibility import Visibility, project_into, voxel_means
 

@@ -11,7 +11,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from ...checkpoint import load_versioned, save_tensors
+from ...run.checkpoint import load_versioned, save_tensors
 from ...core.errors import ConfigError
 from .network import ConfidenceNetwork, confidence_image
 

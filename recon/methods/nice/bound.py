@@ -10,7 +10,7 @@ from torch import Tensor
 
 from ...core.camera import Camera
 from ...core.errors import ConfigError, DataError
-from ...recording import RunFrames
+from ...run.frames import RunFrames
 from ...core.config.nice import NiceConfig
 
 VIEWS = 100  # asked at most

@@ -10,7 +10,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from ...checkpoint import save_tensors
+from ...run.checkpoint import save_tensors
 from ...core.errors import ConfigError
 from .decoders import LAYERS, Decoder, OccupancyDecoders, fine_decoder, middle_decoder
 

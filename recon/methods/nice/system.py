@@ -14,7 +14,7 @@ from ...field import NeuralField
 from ...core.frame import Frame
 from ...grid import SparseGrid
 from ..online import Found, Poses
-from ...recording import RunFrames
+from ...run.frames import RunFrames
 from .bound import around, bound_of, points_of, set_bound
 from .fast import FastEvaluate
 from .mapper import Keyframe, NiceMapper

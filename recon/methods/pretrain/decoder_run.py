@@ -12,7 +12,7 @@ from typing import Any
 
 import torch
 
-from ...checkpoint import Checkpoint
+from ...run.checkpoint import Checkpoint
 from ...core.errors import ConfigError
 from ...core.events import Note, OnEvent, Progress, ignore
 from ..nice.decoder_files import save_decoders

@@ -12,7 +12,7 @@ from ...core.events import OnEvent, Progress, Warn, ignore, track_progress
 from ...field import NeuralField
 from ...core.frame import Frame
 from ...grid import SparseGrid, unique_blocks
-from ...recording import RunFrames
+from ...run.frames import RunFrames
 from .blending import believed, fused_distance, weighting_inputs
 from .bricks import brick_samples, inner_part
 from .models import SenfunetModel

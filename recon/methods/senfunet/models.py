@@ -10,7 +10,7 @@ from typing import Any
 import torch
 from torch import Tensor, nn
 
-from ...checkpoint import load_versioned, save_tensors
+from ...run.checkpoint import load_versioned, save_tensors
 from ...core.errors import ConfigError
 from .network import FeatureNetwork, WeightingNetwork
 

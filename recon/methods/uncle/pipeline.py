@@ -11,7 +11,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from ...checkpoint import Checkpoint
+from ...run.checkpoint import Checkpoint
 from ...mvs.photometric_depth import MAX_REGISTRATION_PX
 from ...core.config.map_config import MapConfig
 from ...core.device import choose_device
@@ -22,12 +22,12 @@ from ...core.frame import Frame
 from .mapper import Mapper
 from ...noise_prior import NoisePrior
 from .progress import Progression
-from ...recording import RunFrames
+from ...run.frames import RunFrames
 from ...refined_field import refined_field
 from ...mvs.bias_correction import TRIAL_VIEWS
 from ...tracking import GivenPoses, Tracker, require_found
 from ...tracking.align import AlignTracker
-from ...tracking_record import TrackingRecord
+from ...run.tracking_record import TrackingRecord
 
 # (frame index, sensor, beta (H, W) metres): called once for every mapped frame with the final noise models
 OnBeta = Callable[[int, str, Tensor], None]

@@ -13,7 +13,7 @@ from ...core.events import OnEvent, track_progress
 from ...field import NeuralField
 from ...core.frame import Frame
 from ..online import Found, Poses
-from ...recording import RunFrames
+from ...run.frames import RunFrames
 from ...core.config.vox import VoxConfig
 from .mapping import VoxMapper
 from .model import VoxModel

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 from uncle.recon import map_stage
-from uncle.recon.checkpoint import Checkpoint, load_tensors
+from uncle.recon.run.directory.checkpoint import Checkpoint, load_tensors
 from uncle.recon.core.config.map_config import make_config
 from uncle.recon.core.errors import ConfigError, DataError
 from uncle.recon.core.events import Progress
@@ -14,7 +14,7 @@ from uncle.recon.map_stage import map_run
 from uncle.recon.core.mesh import Mesh
 from uncle.recon.mesh_stage import mesh_run
 from uncle.recon.core.mesh_raycaster import Surface
-from uncle.recon.tracking_record import TrackingRecord
+from uncle.recon.run.directory.tracking_record import TrackingRecord
 from uncle.recon.core.trajectory import Trajectory
 
 QUICK = [

@@ -15,18 +15,18 @@ from uncle.datasets.synth.render import Renderer
 from uncle.datasets.synth.room import furnished_room
 from uncle.recon import map_stage
 from uncle.recon.core.camera import Camera
-from uncle.recon.checkpoint import Checkpoint
+from uncle.recon.run.directory.checkpoint import Checkpoint
 from uncle.recon.core.config.map_config import make_config
 from uncle.recon.core.errors import DataError
 from uncle.recon.core.events import Progress, Warn
 from uncle.recon.core.normals import normals, smooth_depth
 from uncle.recon.map_stage import map_run
 from uncle.recon.mesh_stage import mesh_run
-from uncle.recon.recording import encode_normals
-from uncle.recon.run import FrameRecord, Manifest, RunDirectory
+from uncle.recon.run.directory.frames import encode_normals
+from uncle.recon.run.directory.directory import FrameRecord, Manifest, RunDirectory
 from uncle.recon.core.files import DEPTH_UNITS_PER_M, encode_metres, write_image, write_text
 from uncle.recon.core.se3 import inverse
-from uncle.recon.tracking_record import TrackingRecord
+from uncle.recon.run.directory.tracking_record import TrackingRecord
 from uncle.recon.core.trajectory import Trajectory
 
 CAMERA = Camera(160, 120, 95.0, 95.0, 79.5, 59.5)

@@ -3,13 +3,13 @@
 import numpy as np
 import pytest
 import torch
-from uncle.recon.checkpoint import Checkpoint
+from uncle.recon.run.directory.checkpoint import Checkpoint
 from uncle.recon.core.config.map_config import make_config
 from uncle.recon.core.events import Progress
 from uncle.recon.map_stage import load_field, map_run
 from uncle.recon.mesh import make_mesh
 from uncle.recon.methods.registry.online import map_online
-from uncle.recon.recording import RunFrames
+from uncle.recon.run.directory.frames import RunFrames
 from uncle.recon.methods.vox.system import VoxSystem
 
 ROOM_M = np.array([4.0, 3.0, 2.5])

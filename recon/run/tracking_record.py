@@ -9,8 +9,8 @@ from typing import Literal, get_args
 import numpy as np
 from pydantic import BaseModel, ConfigDict, ValidationError
 
-from .core.errors import DataError
-from .core.files import write_text
+from ..core.errors import DataError
+from ..core.files import write_text
 
 Status = Literal["tracked", "weak", "lost", "relocalised"]
 

@@ -8,8 +8,8 @@ from typing import Any
 
 import torch
 
-from .core.errors import ConfigError, RunError
-from .core.files import atomic_path
+from ..core.errors import ConfigError, RunError
+from ..core.files import atomic_path
 
 
 def save_tensors(path: Path, state: dict[str, Any]) -> None:

@@ -14,11 +14,11 @@ import torch
 from numba import njit
 from torch import Tensor
 
-from .core.camera import Camera
-from .core.errors import RunError
-from .core.frame import Frame
-from .run import FrameRecord, RunDirectory
-from .core.files import BETA_UNITS_PER_M, DEPTH_UNITS_PER_M, read_image
+from ..core.camera import Camera
+from ..core.errors import RunError
+from ..core.frame import Frame
+from .directory import FrameRecord, RunDirectory
+from ..core.files import BETA_UNITS_PER_M, DEPTH_UNITS_PER_M, read_image
 
 T = TypeVar("T")
 

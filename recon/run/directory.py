@@ -12,9 +12,9 @@ from typing import Any
 
 from pydantic import BaseModel, ConfigDict, ValidationError
 
-from .core.camera import Camera
-from .core.errors import RunError
-from .core.files import write_text
+from ..core.camera import Camera
+from ..core.errors import RunError
+from ..core.files import write_text
 
 SCHEMA_VERSION = 1
 

@@ -1,0 +1,1 @@
+"""Everything that reads or writes the layout of a run directory."""
