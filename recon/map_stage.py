@@ -18,7 +18,7 @@ from .core.errors import ConfigError, RunError
 from .core.events import Note, OnEvent, Warn, ignore
 from .field import NeuralField
 from .methods.registry import Job, make_map, trained_parts
-from .noise_prior import NoisePrior
+from .sensors.noise_prior import NoisePrior
 from .run.frames import RunFrames
 from .run.directory import Manifest, RunDirectory, config_hash
 from .core.files import write_text

@@ -8,7 +8,7 @@ from .core.config.map_config import FieldConfig, MapConfig
 from .core.events import OnEvent, ignore
 from .field import NeuralField
 from .methods.uncle.mapper import Mapper
-from .reading_weights import WEIGHT_SCALE_M
+from .sensors.fusion_weights import WEIGHT_SCALE_M
 from .methods.uncle.refinement import refine
 
 SENSORS_ALONE = 0.1  # of the step size of the feature grids, where colour says nothing

@@ -10,7 +10,7 @@ from scipy import stats
 from uncle.recon.evaluation.bench.statistics import ALL_SCENES
 from uncle.recon.core.config.map_config import make_config
 from uncle.recon.core.errors import ConfigError
-from uncle.recon.uncertainty import seen_features
+from uncle.recon.sensors.noise_model import seen_features
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "benchmarks"))  # the programs import each other by their bare names
 ablation = importlib.import_module("ablation")

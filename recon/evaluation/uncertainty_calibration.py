@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.stats import rankdata
 
-from ..stated_intervals import LEVELS, StatedIntervals, key_of
+from ..sensors.intervals import LEVELS, StatedIntervals, key_of
 
 COVERAGES = (0.5, 0.9)
 BINS = 20  # of the reliability and sparsification curves

@@ -11,7 +11,7 @@ from scipy.stats import norm
 from .uncertainty_calibration import BINS, rank_correlation, sparsification
 from ..core.errors import DataError
 from ..core.mesh import Mesh
-from ..stated_intervals import LEVELS
+from ..sensors.intervals import LEVELS
 from ..core.mesh_raycaster import Surface
 
 MEDIAN_IN_SIGMAS = float(norm.ppf(0.75))  # 0.674, of the distance |e| of a Gaussian error

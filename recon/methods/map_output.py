@@ -9,10 +9,10 @@ from typing import Any
 
 from torch import Tensor
 
-from .. import sensor_record
+from ..sensors import fault_record as sensor_record
 from ..core.events import OnEvent, Warn
 from ..run.directory import RunDirectory
-from ..sensor_health import SensorHealth
+from ..sensors.fault_detection import SensorHealth
 from ..core.files import BETA_UNITS_PER_M, encode_metres, explain_write_errors, write_image, write_text
 
 

@@ -19,7 +19,7 @@ from ..field import NeuralField
 from ..core.frame import Frame
 from .map_output import MapOutput
 from .nice.scene import choose_decoders
-from ..noise_prior import NoisePrior, save_noise_models
+from ..sensors.noise_prior import NoisePrior, save_noise_models
 from .online import OnlineSystem, map_online
 from .uncle.pipeline import choose_device, choose_tracker, reconstruct
 from ..run.frames import RunFrames

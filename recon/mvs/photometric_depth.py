@@ -22,7 +22,7 @@ from ..map_surface import MapSurface
 from .cost_volume import GreyView
 from ..run.frames import RunFrames
 from .bias_model import CONFIRMED, REFUTED, SensorBias
-from ..uncertainty import NoiseModel, Residuals
+from ..sensors.noise_model import NoiseModel, Residuals
 
 FULL_SIZE_PIXELS = 200_000  # larger images are halved: finer pixels than the map's samples cost time only
 SAMPLES = 4000  # pixels of a view that teach

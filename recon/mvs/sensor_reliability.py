@@ -20,9 +20,9 @@ from scipy.sparse import coo_array, csr_array
 from scipy.spatial import cKDTree
 
 from .photometric_depth import ColorWitness
-from ..reading_weights import ReadingWeights
+from ..sensors.fusion_weights import ReadingWeights
 from .bias_model import SensorBias
-from ..uncertainty import NoiseModel
+from ..sensors.noise_model import NoiseModel
 
 PLACE_VOXELS = 0.75  # readings this near to each other are of the same place
 UNTESTED = 1 / 3  # where it cannot be found

@@ -16,7 +16,7 @@ from ..core.config.map_config import TrackingConfig
 from ..core.frame import Frame
 from ..fusion import FusionVolume
 from ..run.tracking_record import Status, TrackedFrame, TrackingRecord
-from ..uncertainty import NoiseModel
+from ..sensors.noise_model import NoiseModel
 from . import graph_state
 from .keyframe_graph import KeyframeGraph
 from .landmarks import Sighting

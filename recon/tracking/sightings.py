@@ -14,7 +14,7 @@ from torch import Tensor
 from ..core.camera import Camera
 from ..core.config.map_config import TrackingConfig
 from ..core.frame import Frame
-from ..uncertainty import NoiseModel
+from ..sensors.noise_model import NoiseModel
 from .landmarks import NONE, Sighting
 from .local_features import LocalFeatures, extract_features, no_features
 from .surface_alignment import Readings

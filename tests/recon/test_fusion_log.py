@@ -7,9 +7,9 @@ import pytest
 import torch
 from uncle.recon.core.config.map_config import UncertaintyConfig
 from uncle.recon.methods.uncle.fusion_log import LEVER_M, FusionLog
-from uncle.recon.noise_features import FEATURES
+from uncle.recon.sensors.noise_inputs import FEATURES
 from uncle.recon.core.se3 import moved
-from uncle.recon.uncertainty import NoiseModel, Residuals
+from uncle.recon.sensors.noise_model import NoiseModel, Residuals
 
 
 def models() -> dict[str, NoiseModel]:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 from scipy.stats import laplace
-from uncle.recon.losses import LEVELS, interval_loss, laplace_nll
+from uncle.recon.sensors.likelihood import LEVELS, interval_loss, laplace_nll
 
 
 def test_agrees_with_scipy():

@@ -6,9 +6,9 @@ from uncle.recon.core.camera import Camera
 from uncle.recon.core.config.map_config import make_config
 from uncle.recon.core.frame import Frame
 from uncle.recon.methods.uncle.mapper import Mapper
-from uncle.recon.noise_features import FEATURES
+from uncle.recon.sensors.noise_inputs import FEATURES
 from uncle.recon.raycast import cast_rays
-from uncle.recon.reading_weights import DOUBT_BETAS
+from uncle.recon.sensors.fusion_weights import DOUBT_BETAS
 
 CAMERA = Camera(80, 60, 60.0, 60.0, 39.5, 29.5)
 DEPTHS = (2.0, 2.012, 1.98, 2.025, 1.991)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import torch
 from uncle.recon.core.camera import Camera
-from uncle.recon.noise_features import FEATURES, noise_features
+from uncle.recon.sensors.noise_inputs import FEATURES, noise_features
 
 CAMERA = Camera(64, 48, 50.0, 50.0, 31.5, 23.5)
 

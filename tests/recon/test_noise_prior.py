@@ -8,18 +8,19 @@ from functools import partial
 import numpy as np
 import pytest
 import torch
-from uncle.recon import map_stage, noise_prior
+from uncle.recon import map_stage
+from uncle.recon.sensors import noise_prior
 from uncle.recon.run.directory.checkpoint import Checkpoint, load_tensors, save_tensors
 from uncle.recon.core.config.map_config import MapConfig, UncertaintyConfig, make_config
 from uncle.recon.core.errors import ConfigError, RunError
 from uncle.recon.core.events import Progress, Warn
 from uncle.recon.map_stage import map_run
 from uncle.recon.methods.uncle.mapper import Mapper
-from uncle.recon.noise_features import FEATURES
-from uncle.recon.noise_prior import NoisePrior, save_noise_models
+from uncle.recon.sensors.noise_inputs import FEATURES
+from uncle.recon.sensors.noise_prior import NoisePrior, save_noise_models
 from uncle.recon.run.directory.frames import RunFrames
 from uncle.recon.run.directory.directory import RunDirectory
-from uncle.recon.uncertainty import NoiseModel, Residuals
+from uncle.recon.sensors.noise_model import NoiseModel, Residuals
 
 QUICK = [
     "fusion.voxel_size_m=0.05", "fusion.min_readings=2", "keyframes.rays=500", "field.iterations=3", "field.rays=256",

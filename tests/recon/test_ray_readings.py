@@ -5,9 +5,9 @@ from types import SimpleNamespace
 import torch
 from uncle.recon.core.config.map_config import UncertaintyConfig
 from uncle.recon.methods.uncle.keyframes import RayStore
-from uncle.recon.noise_features import FEATURES
+from uncle.recon.sensors.noise_inputs import FEATURES
 from uncle.recon.methods.uncle.ray_batch import RayReadings
-from uncle.recon.uncertainty import START_BETA_M, NoiseModel
+from uncle.recon.sensors.noise_model import START_BETA_M, NoiseModel
 
 CPU = torch.device("cpu")
 

@@ -2,7 +2,7 @@
 
 import torch
 from uncle.recon.core.config.map_config import FusionConfig
-from uncle.recon.reading_weights import COLOR_FREE_SPACE, DOUBT_BETAS, WEIGHT_FLOOR, ReadingWeights, median_weight
+from uncle.recon.sensors.fusion_weights import COLOR_FREE_SPACE, DOUBT_BETAS, WEIGHT_FLOOR, ReadingWeights, median_weight
 
 VALID = torch.tensor([[True, True, True, False]])
 BETA = torch.tensor([[1.0, 0.1, 0.05, 0.01]])  # the sharpest is no reading

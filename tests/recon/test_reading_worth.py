@@ -8,7 +8,7 @@ import torch
 from scipy.spatial import cKDTree
 from uncle.recon.mvs import sensor_reliability as reading_worth
 from uncle.recon.core.config.map_config import FusionConfig
-from uncle.recon.reading_weights import ReadingWeights
+from uncle.recon.sensors.fusion_weights import ReadingWeights
 from uncle.recon.mvs.sensor_reliability import UNTESTED, Statements, statements, worth_of_readings
 
 VIEWS, PLACES, VOXEL_M, BETA_M = 24, 400, 0.02, 0.004

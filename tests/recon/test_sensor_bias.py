@@ -5,9 +5,9 @@ import pytest
 import torch
 from uncle.recon.core.camera import Camera
 from uncle.recon.core.config.map_config import UncertaintyConfig
-from uncle.recon.noise_features import FEATURES, noise_features, relative_spread
+from uncle.recon.sensors.noise_inputs import FEATURES, noise_features, relative_spread
 from uncle.recon.mvs.bias_model import MIN_VIEWS, BiasTrial, SensorBias
-from uncle.recon.uncertainty import Residuals
+from uncle.recon.sensors.noise_model import Residuals
 
 CONFIG = UncertaintyConfig(batch=1024, learning_rate=0.01)
 

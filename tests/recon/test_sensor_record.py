@@ -4,7 +4,7 @@ import json
 
 from uncle.recon.report import _faults
 from uncle.recon.run.directory.directory import RunDirectory
-from uncle.recon.sensor_record import Stretch, describe, save, stretches
+from uncle.recon.sensors.fault_record import Stretch, describe, save, stretches
 
 
 def spelled(letters: str, first: int = 0, step: int = 1):

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from uncle.recon.evaluation.uncertainty_calibration import evaluate_uncertainty
-from uncle.recon.stated_intervals import LEVELS, MIN_READINGS, key_of, state_intervals
+from uncle.recon.sensors.intervals import LEVELS, MIN_READINGS, key_of, state_intervals
 
 
 def test_quantiles_of_flat_errors():

@@ -6,8 +6,8 @@ import pytest
 import torch
 from uncle.recon.core.config.map_config import UncertaintyConfig, make_config
 from uncle.recon.core.errors import ConfigError
-from uncle.recon.noise_features import FEATURES
-from uncle.recon.uncertainty import PIXELS, START_BETA_M, NoiseModel, Residuals, seen_features
+from uncle.recon.sensors.noise_inputs import FEATURES
+from uncle.recon.sensors.noise_model import PIXELS, START_BETA_M, NoiseModel, Residuals, seen_features
 
 SCALES = (0.01, 0.06)  # metres: of readings whose first feature is -1 and +1
 

@@ -9,7 +9,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from ...uncertainty import NoiseModel
+from ...sensors.noise_model import NoiseModel
 
 LEVER_M = 2.0  # a turn moves what is this far away
 

@@ -17,14 +17,14 @@ from .fusion_log import FusionLog
 from ...grid import SparseGrid
 from .keyframes import KeyframeSelector, RayStore
 from ...map_surface import MapSurface
-from ...noise_features import noise_features
+from ...sensors.noise_inputs import noise_features
 from .ray_batch import RayReadings
-from ...reading_weights import ReadingWeights
+from ...sensors.fusion_weights import ReadingWeights
 from ...mvs.sensor_reliability import UNTESTED, statements, worth_of_readings
 from ...mvs.bias_correction import SensorBiases
-from ...sensor_health import SensorHealth
-from ...stated_intervals import state_intervals
-from ...uncertainty import NoiseModel, Residuals
+from ...sensors.fault_detection import SensorHealth
+from ...sensors.intervals import state_intervals
+from ...sensors.noise_model import NoiseModel, Residuals
 
 _MAX_SELF_SHARE = 0.9  # readings that make up more of the map than this say nothing about themselves
 

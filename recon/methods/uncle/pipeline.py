@@ -20,7 +20,7 @@ from ...core.events import Note, OnEvent, Progress, ignore
 from ...field import NeuralField
 from ...core.frame import Frame
 from .mapper import Mapper
-from ...noise_prior import NoisePrior
+from ...sensors.noise_prior import NoisePrior
 from .progress import Progression
 from ...run.frames import RunFrames
 from ...refined_field import refined_field

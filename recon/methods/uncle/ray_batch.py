@@ -10,7 +10,7 @@ from torch import Tensor
 
 from ...mvs.photometric_depth import ColorWitness
 from .keyframes import RayStore
-from ...uncertainty import START_BETA_M, NoiseModel
+from ...sensors.noise_model import START_BETA_M, NoiseModel
 
 
 @dataclass(frozen=True)

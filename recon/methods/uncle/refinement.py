@@ -13,7 +13,7 @@ from ...core.adam import Adam
 from ...core.config.map_config import FieldConfig
 from ...core.events import OnEvent, ignore, track_progress
 from ...field import NeuralField
-from ...losses import laplace_nll
+from ...sensors.likelihood import laplace_nll
 from .ray_batch import RayReadings
 from ...raycast import cast_rays
 from ...rendering import render_depth, render_values, sdf_weights

@@ -8,10 +8,10 @@ import torch
 from uncle.recon.core.camera import Camera
 from uncle.recon.core.config.map_config import TrackingConfig, UncertaintyConfig
 from uncle.recon.core.frame import Frame
-from uncle.recon.noise_features import FEATURES
+from uncle.recon.sensors.noise_inputs import FEATURES
 from uncle.recon.tracking.local_features import LocalFeatures, no_features
 from uncle.recon.tracking.sightings import EDGE_SHARE, UNTAUGHT, prepare, readings_of, sight, surface_view, weigh
-from uncle.recon.uncertainty import NoiseModel, Residuals
+from uncle.recon.sensors.noise_model import NoiseModel, Residuals
 
 CAMERA = Camera(160, 120, 120.0, 120.0, 79.5, 59.5)
 NORMALS = torch.tensor([0.0, 0.0, -1.0]).expand(120, 160, 3)

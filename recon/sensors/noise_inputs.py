@@ -12,8 +12,8 @@ import torch
 from numba import njit
 from torch import Tensor
 
-from .core.camera import Camera
-from .core.normals import incidence
+from ..core.camera import Camera
+from ..core.normals import incidence
 
 WINDOWS = (3, 7, 15)  # pixels
 FEATURES = (

@@ -12,11 +12,11 @@ import torch
 from torch import Tensor, nn
 from torch.nn.functional import linear, softplus
 
-from .core.adam import Adam
-from .core.config.map_config import UncertaintyConfig
-from .core.errors import ConfigError
-from .losses import interval_loss, laplace_nll
-from .noise_features import FEATURES
+from ..core.adam import Adam
+from ..core.config.map_config import UncertaintyConfig
+from ..core.errors import ConfigError
+from .likelihood import interval_loss, laplace_nll
+from .noise_inputs import FEATURES
 
 START_BETA_M = 0.05  # before anything is learned
 MAX_RESIDUAL_M = 1.0  # more is no noise

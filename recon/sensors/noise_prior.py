@@ -11,12 +11,12 @@ from typing import Any
 
 import torch
 
-from .run.checkpoint import load_versioned, save_tensors
-from .core.config.map_config import UncertaintyConfig
-from .core.errors import ConfigError, RunError
-from .noise_features import FEATURES
-from .run.directory import RunDirectory
-from .uncertainty import NoiseModel
+from ..run.checkpoint import load_versioned, save_tensors
+from ..core.config.map_config import UncertaintyConfig
+from ..core.errors import ConfigError, RunError
+from .noise_inputs import FEATURES
+from ..run.directory import RunDirectory
+from .noise_model import NoiseModel
 
 FORMAT, VERSION = "uncle noise models", 1
 SHAPE = ("hidden", "inputs", "features", "beta_min_m")  # of a model; what it reads, and what of that it sees

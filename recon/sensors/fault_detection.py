@@ -15,9 +15,9 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from .core.camera import Camera
-from .core.config.map_config import HealthConfig
-from .core.frame import Frame
+from ..core.camera import Camera
+from ..core.config.map_config import HealthConfig
+from ..core.frame import Frame
 
 Verdict = Literal["ok", "missing", "frozen", "disagrees"]
 
