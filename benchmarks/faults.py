@@ -19,7 +19,7 @@ from uncle.recon.evaluation.bench.scores import surface_scores
 from uncle.recon.evaluation.bench.tables import cell, markdown_table
 from uncle.recon.core.errors import UncleError
 from uncle.recon.core.frame import Frame, Recording
-from uncle.recon.preprocess import preprocess
+from uncle.recon.stages.preprocess import preprocess
 from uncle.recon.run.directory.directory import RunDirectory
 
 FAULTS = ("none", "zero", "frozen", "shifted")

@@ -50,7 +50,7 @@ def command(
     """
     from ..recon.core.config.map_config import make_config
     from ..recon.core.events import Note
-    from ..recon.map_stage import map_run
+    from ..recon.stages.map import map_run
     from ..recon.sensors.noise_prior import NoisePrior
     from ..recon.run.directory import RunDirectory
 

@@ -28,7 +28,7 @@ def command(
 ) -> None:  # fmt: skip
     """Extract the surface of a finished map as PLY: colour, and confidence (1 sigma, metres) per vertex."""
     from ..recon.core.events import Note
-    from ..recon.mesh_stage import mesh_run
+    from ..recon.stages.mesh import mesh_run
     from ..recon.run.directory import RunDirectory
 
     say = listener(ctx)

@@ -36,7 +36,7 @@ def command(
     """
     from ..datasets import open_dataset
     from ..recon.core.events import Note
-    from ..recon.preprocess import preprocess
+    from ..recon.stages.preprocess import preprocess
     from ..recon.run.directory import RunDirectory
 
     on_event = listener(ctx)

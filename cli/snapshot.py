@@ -62,7 +62,7 @@ def command(
     sensor's depth and beta maps beside it. The path of every sheet is printed.
     """
     from ..recon.run.directory import RunDirectory
-    from ..recon.snapshot_stage import snapshot_file, snapshot_run
+    from ..recon.stages.snapshot import snapshot_file, snapshot_run
 
     options = {"modes": modes or None, "size": size, "renderer": renderer, "on_event": listener(ctx)}
     run_is_given = ctx.get_parameter_source("run_path") is click.core.ParameterSource.COMMANDLINE

@@ -35,7 +35,7 @@ def command(
     from ..recon.core.events import Note
     from ..recon.run.directory import RunDirectory
     from ..recon.evaluation.run_metrics import to_plain
-    from ..recon.uncertainty_stage import uncertainty_run
+    from ..recon.stages.uncertainty import uncertainty_run
     from ..recon.evaluation.sensor_summary import summary_table
 
     run, say = RunDirectory(run_path), listener(ctx)

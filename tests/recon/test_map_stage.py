@@ -11,14 +11,14 @@ from functools import partial
 
 import numpy as np
 import pytest
-from uncle.recon import map_stage
+from uncle.recon.stages import map as map_stage
 from uncle.recon.run.directory.checkpoint import Checkpoint
 from uncle.recon.core.config.map_config import MapConfig, make_config
 from uncle.recon.core.errors import ConfigError, DataError, RunError
 from uncle.recon.core.events import Note, Progress, Warn
-from uncle.recon.map_stage import load_field, map_run
+from uncle.recon.stages.map import load_field, map_run
 from uncle.recon.core.mesh import Mesh
-from uncle.recon.mesh_stage import mesh_run
+from uncle.recon.stages.mesh import mesh_run
 from uncle.recon.run.directory.frames import RunFrames
 from uncle.recon.run.directory.directory import RunDirectory
 from uncle.recon.core.files import write_text

@@ -8,13 +8,13 @@ from functools import partial
 import numpy as np
 import pytest
 import torch
-from uncle.recon import map_stage
+from uncle.recon.stages import map as map_stage
 from uncle.recon.sensors import noise_prior
 from uncle.recon.run.directory.checkpoint import Checkpoint, load_tensors, save_tensors
 from uncle.recon.core.config.map_config import MapConfig, UncertaintyConfig, make_config
 from uncle.recon.core.errors import ConfigError, RunError
 from uncle.recon.core.events import Progress, Warn
-from uncle.recon.map_stage import map_run
+from uncle.recon.stages.map import map_run
 from uncle.recon.methods.uncle.mapper import Mapper
 from uncle.recon.sensors.noise_inputs import FEATURES
 from uncle.recon.sensors.noise_prior import NoisePrior, save_noise_models

@@ -5,7 +5,7 @@ from functools import partial
 import numpy as np
 import pytest
 import torch
-from uncle.recon import map_stage
+from uncle.recon.stages import map as map_stage
 from uncle.recon.methods.registry import registry as methods
 from uncle.recon.run.directory.checkpoint import Checkpoint, load_tensors
 from uncle.recon.core.config.map_config import make_config
@@ -13,7 +13,7 @@ from uncle.recon.core.errors import DataError
 from uncle.recon.core.events import Progress
 from uncle.recon.field import NeuralField
 from uncle.recon.grid import SparseGrid
-from uncle.recon.map_stage import load_field, map_run
+from uncle.recon.stages.map import load_field, map_run
 from uncle.recon.methods.registry.online import Found
 from uncle.recon.run.directory.frames import RunFrames
 from uncle.recon.run.directory.tracking_record import TrackingRecord

@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 import pytest
 import torch
-from uncle.recon import conversion, preprocess
+from uncle.recon.stages import frame_conversion as conversion, preprocess
 from uncle.recon.core import normals as features, files as storage
 from uncle.recon.core.camera import Camera
 from uncle.recon.core.errors import DataError, FrameError, RunError

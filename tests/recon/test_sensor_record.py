@@ -2,7 +2,7 @@
 
 import json
 
-from uncle.recon.report import _faults
+from uncle.recon.stages.report import _faults
 from uncle.recon.run.directory.directory import RunDirectory
 from uncle.recon.sensors.fault_record import Stretch, describe, save, stretches
 

@@ -9,7 +9,7 @@ from uncle.recon.methods.confidence.weighting import LEAST, Confident
 from uncle.recon.core.config.map_config import make_config
 from uncle.recon.core.errors import ConfigError
 from uncle.recon.core.frame import Frame
-from uncle.recon.map_stage import map_run
+from uncle.recon.stages.map import map_run
 from uncle.recon.core.config.nice import NiceConfig, NiceTrackingConfig
 from uncle.recon.methods.nice.views import Rays
 from uncle.recon.methods.nice.weighting import Uniform

@@ -5,14 +5,14 @@ from functools import partial
 import numpy as np
 import pytest
 import torch
-from uncle.recon import map_stage
+from uncle.recon.stages import map as map_stage
 from uncle.recon.run.directory.checkpoint import Checkpoint, load_tensors
 from uncle.recon.core.config.map_config import make_config
 from uncle.recon.core.errors import ConfigError, DataError
 from uncle.recon.core.events import Progress
-from uncle.recon.map_stage import map_run
+from uncle.recon.stages.map import map_run
 from uncle.recon.core.mesh import Mesh
-from uncle.recon.mesh_stage import mesh_run
+from uncle.recon.stages.mesh import mesh_run
 from uncle.recon.core.mesh_raycaster import Surface
 from uncle.recon.run.directory.tracking_record import TrackingRecord
 from uncle.recon.core.trajectory import Trajectory

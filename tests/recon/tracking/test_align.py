@@ -13,15 +13,15 @@ import pytest
 from uncle.datasets.synth.path import FreeSpace, handheld_path
 from uncle.datasets.synth.render import Renderer
 from uncle.datasets.synth.room import furnished_room
-from uncle.recon import map_stage
+from uncle.recon.stages import map as map_stage
 from uncle.recon.core.camera import Camera
 from uncle.recon.run.directory.checkpoint import Checkpoint
 from uncle.recon.core.config.map_config import make_config
 from uncle.recon.core.errors import DataError
 from uncle.recon.core.events import Progress, Warn
 from uncle.recon.core.normals import normals, smooth_depth
-from uncle.recon.map_stage import map_run
-from uncle.recon.mesh_stage import mesh_run
+from uncle.recon.stages.map import map_run
+from uncle.recon.stages.mesh import mesh_run
 from uncle.recon.run.directory.frames import encode_normals
 from uncle.recon.run.directory.directory import FrameRecord, Manifest, RunDirectory
 from uncle.recon.core.files import DEPTH_UNITS_PER_M, encode_metres, write_image, write_text

@@ -6,11 +6,11 @@ import time
 from dataclasses import dataclass
 from pathlib import Path
 
-from .core.events import OnEvent, ignore
-from .map_stage import load_field
-from .mesh import make_mesh
-from .run.directory import RunDirectory, config_hash
-from .core.trajectory import Trajectory
+from ..core.events import OnEvent, ignore
+from .map import load_field
+from ..mesh import make_mesh
+from ..run.directory import RunDirectory, config_hash
+from ..core.trajectory import Trajectory
 
 STAGE = "mesh"
 

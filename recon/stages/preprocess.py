@@ -17,13 +17,13 @@ from typing import TypeVar
 import cv2
 import numpy as np
 
-from .conversion import FrameConverter, FrameResult
-from .core.errors import DataError, RunError
-from .core.events import Note, OnEvent, Warn, ignore, track_progress
-from .core.frame import Recording
-from .run.directory import FrameRecord, Manifest, RunDirectory, config_hash
-from .core.files import explain_write_errors, write_text
-from .core.trajectory import Trajectory
+from .frame_conversion import FrameConverter, FrameResult
+from ..core.errors import DataError, RunError
+from ..core.events import Note, OnEvent, Warn, ignore, track_progress
+from ..core.frame import Recording
+from ..run.directory import FrameRecord, Manifest, RunDirectory, config_hash
+from ..core.files import explain_write_errors, write_text
+from ..core.trajectory import Trajectory
 
 STAGE = "preprocess"
 FRAMES_AHEAD = 2  # frames waiting per thread: keeps all of them busy with little memory

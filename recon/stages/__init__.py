@@ -1,0 +1,1 @@
+"""The seven commands as functions: check, run, record in the manifest."""
