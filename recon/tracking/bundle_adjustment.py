@@ -18,7 +18,7 @@ from scipy.linalg import cho_factor, cho_solve
 
 from ..core.camera import Camera
 from ..core.se3 import cross_matrix, inverse, moved, transform
-from .pose_edges import PoseEdges, linearise_edges
+from .pose_graph_edges import PoseEdges, linearise_edges
 
 PIXEL_SCALE = 2.0  # residuals, in sigmas, beyond which an observation loses influence (Cauchy)
 DEPTH_SCALE = 1.0  # depth errs with longer tails than pixels

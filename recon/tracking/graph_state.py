@@ -8,7 +8,7 @@ import torch
 
 from .keyframe_graph import KeyframeGraph
 from .landmarks import Sighting
-from .view_alignment import SurfaceView
+from .frame_to_frame import SurfaceView
 
 
 def to_state(graph: KeyframeGraph) -> dict[str, Any]:

@@ -8,11 +8,11 @@ from ..core.camera import Camera
 from .bundle_adjustment import Observations, adjust, covariances, without_outliers
 from .landmarks import NONE, Landmarks, Sighting, observations_of, seen_at_least
 from .local_features import back_projected
-from .loops import Place, corrected_poses, recognise
+from .loop_closure import Place, corrected_poses, recognise
 from ..core.se3 import angle, exceeds, inverse, transform
-from .placement import placed_again
-from .pose_edges import Measured, edges_among
-from .view_alignment import SurfaceView, align_views
+from .outlier_poses import placed_again
+from .pose_graph_edges import Measured, edges_among
+from .frame_to_frame import SurfaceView, align_views
 
 LOCAL_KEYFRAMES = 8
 NEIGHBOURS = 3  # keyframes before one whose surfaces it is aligned with

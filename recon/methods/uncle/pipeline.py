@@ -26,7 +26,7 @@ from ...run.frames import RunFrames
 from ...refined_field import refined_field
 from ...mvs.bias_correction import TRIAL_VIEWS
 from ...tracking import GivenPoses, Tracker, require_found
-from ...tracking.align import AlignTracker
+from ...tracking.tracker import AlignTracker
 from ...run.tracking_record import TrackingRecord
 
 # (frame index, sensor, beta (H, W) metres): called once for every mapped frame with the final noise models

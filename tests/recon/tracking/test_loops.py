@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from uncle.recon.core.camera import Camera
 from uncle.recon.tracking.landmarks import NONE, Landmarks, Sighting
-from uncle.recon.tracking.loops import corrected_poses, recognise
+from uncle.recon.tracking.loop_closure import corrected_poses, recognise
 from uncle.recon.core.se3 import angle, inverse, moved, transform
 
 CAMERA = Camera(320, 240, 200.0, 210.0, 160.0, 118.0)

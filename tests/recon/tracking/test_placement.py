@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from uncle.recon.tracking.bundle_adjustment import Observations, adjust, residuals, robust_weights
 from uncle.recon.core.se3 import inverse, moved, transform
-from uncle.recon.tracking.placement import _cost, expectations, nearest, placed_again
+from uncle.recon.tracking.outlier_poses import _cost, expectations, nearest, placed_again
 
 SPEED = np.array([0.02, -0.01, 0.005, 0.01, 0.02, -0.005])  # of a hand, a frame
 TIMES = np.array([0.0, 1, 2, 3, 5, 6, 7, 8, 9, 10, 11, 12])

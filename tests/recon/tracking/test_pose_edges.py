@@ -6,7 +6,7 @@ import numpy as np
 from uncle.recon.core.camera import Camera
 from uncle.recon.tracking.bundle_adjustment import Observations, adjust
 from uncle.recon.core.se3 import inverse, motion_between, moved
-from uncle.recon.tracking.pose_edges import PoseEdges, adjoint, edges_among, linearise_edges
+from uncle.recon.tracking.pose_graph_edges import PoseEdges, adjoint, edges_among, linearise_edges
 
 CAMERA = Camera(320, 240, 200.0, 200.0, 160.0, 120.0)
 NOTHING = Observations(*(np.zeros(0, int),) * 2, np.zeros((0, 2)), np.zeros(0), *(np.zeros((0, 1)),) * 2, np.zeros(0))

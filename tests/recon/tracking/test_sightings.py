@@ -10,7 +10,7 @@ from uncle.recon.core.config.map_config import TrackingConfig, UncertaintyConfig
 from uncle.recon.core.frame import Frame
 from uncle.recon.sensors.noise_inputs import FEATURES
 from uncle.recon.tracking.local_features import LocalFeatures, no_features
-from uncle.recon.tracking.sightings import EDGE_SHARE, UNTAUGHT, prepare, readings_of, sight, surface_view, weigh
+from uncle.recon.tracking.frame_observations import EDGE_SHARE, UNTAUGHT, prepare, readings_of, sight, surface_view, weigh
 from uncle.recon.sensors.noise_model import NoiseModel, Residuals
 
 CAMERA = Camera(160, 120, 120.0, 120.0, 79.5, 59.5)

@@ -9,8 +9,8 @@ from uncle.recon.fusion import FusionVolume
 from uncle.recon.grid import SparseGrid
 from uncle.recon.core.se3 import angle, inverse, motion_between, moved, transform
 from uncle.recon.tracking.pose_estimation import minimise
-from uncle.recon.tracking.surface_alignment import COLOR_SIGMA, LEAST_SCALE, Readings, agreement, scaled, surface_residuals, surface_term
-from uncle.recon.tracking.surface_lookup import look_compiled, look_tensors
+from uncle.recon.tracking.frame_to_model import COLOR_SIGMA, LEAST_SCALE, Readings, agreement, scaled, surface_residuals, surface_term
+from uncle.recon.tracking.tsdf_lookup import look_compiled, look_tensors
 
 CORNER = 0.785  # the angle at which the camera sees a corner of the room
 OFF = np.array([0.02, -0.015, 0.025, 0.008, -0.01, 0.006])

@@ -13,13 +13,13 @@ from uncle.recon.core.normals import normals, smooth_depth
 from uncle.recon.core.frame import Frame
 from uncle.recon.fusion import FusionVolume
 from uncle.recon.grid import SparseGrid
-from uncle.recon.tracking.align import AlignTracker
+from uncle.recon.tracking.tracker import AlignTracker
 from uncle.recon.tracking.keyframe_graph import KeyframeGraph
 from uncle.recon.tracking.landmarks import Sighting
 from uncle.recon.core.se3 import angle, inverse, motion_between, moved
-from uncle.recon.tracking.surface_alignment import Readings
-from uncle.recon.tracking.surface_tracking import expectation, followed, near_view, on_surface
-from uncle.recon.tracking.view_alignment import SurfaceView
+from uncle.recon.tracking.frame_to_model import Readings
+from uncle.recon.tracking.depth_only import expectation, followed, near_view, on_surface
+from uncle.recon.tracking.frame_to_frame import SurfaceView
 
 BALLS = (
     ((3.2, 2.2, 0.9), 0.45),

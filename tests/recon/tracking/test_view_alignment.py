@@ -5,7 +5,7 @@ import pytest
 from uncle.recon.core.camera import Camera
 from uncle.recon.core.se3 import angle, inverse, motion_between, moved
 from uncle.recon.tracking.pose_estimation import minimise
-from uncle.recon.tracking.view_alignment import SurfaceView, align_views, view_residuals, view_term
+from uncle.recon.tracking.frame_to_frame import SurfaceView, align_views, view_residuals, view_term
 
 CORNER = 0.785
 OFF = np.array([0.02, -0.015, 0.025, 0.008, -0.01, 0.006])

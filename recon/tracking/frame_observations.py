@@ -17,8 +17,8 @@ from ..core.frame import Frame
 from ..sensors.noise_model import NoiseModel
 from .landmarks import NONE, Sighting
 from .local_features import LocalFeatures, extract_features, no_features
-from .surface_alignment import Readings
-from .view_alignment import SurfaceView
+from .frame_to_model import Readings
+from .frame_to_frame import SurfaceView
 
 EDGE_SHARE = 0.5  # of the spread of depth around a feature that adds to its sigma
 UNTAUGHT = (0.005, 0.01)  # beta before a sensor is known: a + b depth^2, metres; between a Kinect and a stereo matcher

@@ -15,7 +15,7 @@ from torch import Tensor
 
 from ..fusion import FusionVolume
 from .pose_estimation import Linearised, Term
-from .surface_lookup import look_compiled, look_tensors
+from .tsdf_lookup import look_compiled, look_tensors
 
 SHARE = 0.05  # how much of its information a residual counts: neighbours share most of their error
 COLOR_SIGMA = 0.08  # of 0..1: what colours of the map and of a frame differ by

@@ -23,10 +23,10 @@ from .landmarks import Sighting
 from .local_features import match, match_near, near_projections, project
 from ..core.se3 import angle, exceeds, inverse, motion_between, moved, transform
 from .pose_estimation import MIN_INLIERS, covariance_of, feature_term, is_weak, minimise, ransac_pose
-from .sightings import Prepared, prepare, readings_of, sight, surface_view, weigh
-from .surface_alignment import Readings, scaled, surface_term
-from .surface_tracking import Held, expectation, followed, found_again, on_surface
-from .view_alignment import SurfaceView
+from .frame_observations import Prepared, prepare, readings_of, sight, surface_view, weigh
+from .frame_to_model import Readings, scaled, surface_term
+from .depth_only import Held, expectation, followed, found_again, on_surface
+from .frame_to_frame import SurfaceView
 
 SEARCH_PX = 10.0  # around where a landmark is expected
 AGREES = 4.0  # sigmas
