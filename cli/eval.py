@@ -106,7 +106,7 @@ def _evaluate_trajectory(ctx: click.Context, estimate: Path, reference: Path, pl
     from ..recon.evaluation.trajectory_pair import CameraPath
     from ..recon.evaluation.run_metrics import to_plain
     from ..recon.evaluation.trajectory_metrics import evaluate_trajectory
-    from ..recon.trajectory_table import trajectory_rows
+    from ..recon.visualization.trajectory_table import trajectory_rows
 
     path = CameraPath.of_files(estimate, reference)
     metrics = evaluate_trajectory(path.estimate, path.reference)
@@ -121,7 +121,7 @@ def _evaluate_trajectory(ctx: click.Context, estimate: Path, reference: Path, pl
 
 def _plot(ctx: click.Context, path: CameraPath, folder: Path) -> None:
     from ..recon.core.events import Note
-    from ..recon.trajectory_charts import draw_camera_path
+    from ..recon.visualization.trajectory_charts import draw_camera_path
 
     drawn = draw_camera_path(path, folder)
     listener(ctx)(Note(f"drawn: {', '.join(map(str, drawn))}"))
@@ -184,8 +184,8 @@ def _evaluate_run(
 
 def _print_run(metrics: RunMetrics) -> None:
     from ..recon.evaluation.tracking_metrics import describe_lost
-    from ..recon.trajectory_table import tracking_rows, trajectory_rows
-    from ..recon.uncertainty_table import uncertainty_rows
+    from ..recon.visualization.trajectory_table import tracking_rows, trajectory_rows
+    from ..recon.visualization.uncertainty_table import uncertainty_rows
 
     if metrics.surface is not None:
         print_table("Surface", HEADER, surface_rows(metrics.surface))
@@ -214,7 +214,7 @@ def _print_remarks(skipped: dict[str, str], notes: tuple[str, ...]) -> None:
 
 def surface_rows(metrics: SurfaceMetrics) -> Rows:
     """Rows in % and cm."""
-    from ..recon.uncertainty_table import confidence_rows
+    from ..recon.visualization.uncertainty_table import confidence_rows
 
     mesh, rows = metrics.mesh, []
     for score in mesh.scores:

@@ -10,7 +10,7 @@ import numpy as np
 from .uncertainty_calibration import UncertaintyMetrics
 from .noise_curves import Readings
 from ..run.directory import RunDirectory
-from ..uncertainty_table import uncertainty_rows
+from ..visualization.uncertainty_table import uncertainty_rows
 
 DISTANCES_M = (1, 2, 3, 5)
 WITHIN = 0.1  # readings this share nearer or farther count for a distance

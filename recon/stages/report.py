@@ -9,15 +9,15 @@ from typing import Any
 
 from ..core.errors import DependencyError, UncleError
 from ..core.events import OnEvent, Progress, Warn, ignore
-from ..metrics_table import grouped, metric_rows
+from ..visualization.metrics_table import grouped, metric_rows
 from ..evaluation.noise_curves import Readings, collect_readings, noise_of
 from ..run.frames import RunFrames
-from ..report_camera import camera_section
-from ..report_charts import calibration_chart, confidence_chart, curves_chart, noise_chart, reliability_chart, reliability_curves
+from ..visualization.report_camera import camera_section
+from ..visualization.report_charts import calibration_chart, confidence_chart, curves_chart, noise_chart, reliability_chart, reliability_curves
 from ..core.html import Section, embed_picture, explain, heading, missing, page, preformatted, table
 from ..run.directory import Manifest, RunDirectory
-from ..sensor_pictures import draw_sensors, estimated_sensors
-from ..snapshot import draw_mesh, load_reference, load_run_mesh, snapshot_views
+from ..visualization.sensor_pictures import draw_sensors, estimated_sensors
+from ..visualization.mesh_pictures import draw_mesh, load_reference, load_run_mesh, snapshot_views
 from ..core.files import write_text
 from ..evaluation.sensor_summary import standing_of, summarise, summary_table
 

@@ -8,9 +8,9 @@ from pathlib import Path
 from ..core.events import OnEvent, Warn, ignore
 from ..core.mesh import Mesh
 from ..run.directory import RunDirectory
-from ..sensor_pictures import draw_sensors
-from ..snapshot import draw_mesh, load_reference, load_run_mesh, snapshot_views
-from ..views import DEFAULT_SIZE
+from ..visualization.sensor_pictures import draw_sensors
+from ..visualization.mesh_pictures import draw_mesh, load_reference, load_run_mesh, snapshot_views
+from ..visualization.views import DEFAULT_SIZE
 
 
 def snapshot_file(

@@ -10,10 +10,10 @@ from ..core.errors import ConfigError, DataError
 from ..core.events import OnEvent, Warn, ignore
 from ..evaluation.noise_curves import collect_readings, noise_of
 from ..run.frames import RunFrames
-from ..report_charts import calibration_chart, noise_chart, reliability_chart
+from ..visualization.report_charts import calibration_chart, noise_chart, reliability_chart
 from ..run.directory import RunDirectory
 from ..evaluation.run_metrics import score_uncertainty, to_plain
-from ..sensor_pictures import draw_sensors, estimated_sensors
+from ..visualization.sensor_pictures import draw_sensors, estimated_sensors
 from ..core.files import write_bytes
 from ..evaluation.sensor_summary import SensorUncertainty, standing_of, summarise
 from ..evaluation.visibility import GROUND_TRUTH_SENSOR

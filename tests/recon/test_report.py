@@ -7,11 +7,11 @@ import time
 import numpy as np
 import pytest
 from uncle.recon.core.errors import RunError
-from uncle.recon.metrics_table import metric_rows
+from uncle.recon.visualization.metrics_table import metric_rows
 from uncle.recon.evaluation.noise_curves import incidence_angle, sensor_noise
 from uncle.recon.run.directory.frames import RunFrames, encode_normals
 from uncle.recon.stages.report import write_report
-from uncle.recon.report_charts import calibration_chart, confidence_chart, reliability_chart, reliability_curves
+from uncle.recon.visualization.report_charts import calibration_chart, confidence_chart, reliability_chart, reliability_curves
 from uncle.recon.run.directory.directory import RunDirectory
 from uncle.recon.core.files import write_image, write_text
 

@@ -5,7 +5,7 @@ import time
 import numpy as np
 import pytest
 from uncle.recon.core.errors import DataError, RunError
-from uncle.recon.report_camera import camera_section
+from uncle.recon.visualization.report_camera import camera_section
 from uncle.recon.evaluation.run_metrics import EvalSettings, evaluate_run, to_plain
 from uncle.recon.evaluation.run_trajectory import score_tracking, score_trajectory
 from uncle.recon.run.directory.tracking_record import TrackedFrame, TrackingRecord

@@ -3,15 +3,15 @@
 import numpy as np
 import pytest
 from matplotlib import colormaps
-from uncle.recon import offscreen, snapshot
+from uncle.recon.visualization import offscreen, mesh_pictures as snapshot
 from uncle.recon.core.camera import Camera
 from uncle.recon.core.errors import ConfigError, DataError, DependencyError, RunError
 from uncle.recon.core.events import Note, Warn
 from uncle.recon.core.mesh import Mesh
 from uncle.recon.run.directory.directory import RunDirectory
-from uncle.recon.shading import Geometry, light_triangles
-from uncle.recon.snapshot import RENDERERS, draw_mesh, load_run_mesh, snapshot_views, surface_distance
-from uncle.recon.views import View, guess_up, mesh_views, run_views, spread_poses, trajectory_up
+from uncle.recon.visualization.shading import Geometry, light_triangles
+from uncle.recon.visualization.mesh_pictures import RENDERERS, draw_mesh, load_run_mesh, snapshot_views, surface_distance
+from uncle.recon.visualization.views import View, guess_up, mesh_views, run_views, spread_poses, trajectory_up
 
 CAMERA = Camera(160, 120, 120.0, 120.0, 79.5, 59.5)
 BOX_FACES = np.array(

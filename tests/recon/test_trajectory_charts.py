@@ -3,12 +3,12 @@
 import cv2
 import numpy as np
 import pytest
-from uncle.recon import trajectory_charts
+from uncle.recon.visualization import trajectory_charts
 from uncle.recon.evaluation.trajectory_pair import CameraPath
 from uncle.recon.core.errors import DataError
 from uncle.recon.run.directory.tracking_record import TrackedFrame, TrackingRecord
 from uncle.recon.core.trajectory import Trajectory
-from uncle.recon.trajectory_charts import draw_camera_path, drift_chart, trajectory_chart
+from uncle.recon.visualization.trajectory_charts import draw_camera_path, drift_chart, trajectory_chart
 
 TIMES = 100.0 + 0.5 * np.arange(20)
 STATUSES = ["tracked"] * 6 + ["lost"] * 3 + ["relocalised", "weak"] + ["tracked"] * 9

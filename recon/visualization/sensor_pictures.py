@@ -9,12 +9,12 @@ from pathlib import Path
 import numpy as np
 
 from .charts import ColorScale, encode_figure, new_figure, plain, show_picture
-from .core.errors import DataError
-from .core.events import OnEvent, Warn, ignore
-from .run.frames import RunFrames
-from .run.directory import RunDirectory
-from .core.files import write_bytes
-from .evaluation.visibility import GROUND_TRUTH_SENSOR
+from ..core.errors import DataError
+from ..core.events import OnEvent, Warn, ignore
+from ..run.frames import RunFrames
+from ..run.directory import RunDirectory
+from ..core.files import write_bytes
+from ..evaluation.visibility import GROUND_TRUTH_SENSOR
 
 _ROWS = 3
 

@@ -6,8 +6,8 @@ import math
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from .evaluation.tracking_metrics import Consistency, TrackingMetrics
-    from .evaluation.trajectory_metrics import ErrorStatistics, TrajectoryMetrics
+    from ..evaluation.tracking_metrics import Consistency, TrackingMetrics
+    from ..evaluation.trajectory_metrics import ErrorStatistics, TrajectoryMetrics
 
 Rows = list[tuple[str, str, str]]
 

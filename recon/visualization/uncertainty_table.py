@@ -5,8 +5,8 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from .evaluation.uncertainty_calibration import UncertaintyMetrics
-    from .evaluation.vertex_sigma_metrics import ConfidenceMetrics
+    from ..evaluation.uncertainty_calibration import UncertaintyMetrics
+    from ..evaluation.vertex_sigma_metrics import ConfidenceMetrics
 
 Rows = list[tuple[str, str, str]]
 

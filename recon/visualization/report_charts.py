@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from .charts import Line, draw_lines, encode_figure, new_figure
-from .evaluation.noise_curves import NoiseCurve, SensorNoise
+from ..evaluation.noise_curves import NoiseCurve, SensorNoise
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

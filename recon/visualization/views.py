@@ -8,7 +8,7 @@ from typing import Literal
 
 import numpy as np
 
-from .core.camera import Camera
+from ..core.camera import Camera
 
 DEFAULT_SIZE = (960, 720)
 _FILL = 0.47  # half of the picture that the scene may fill, as a share of its width or height
