@@ -6,7 +6,7 @@ import torch
 
 from .core.config.map_config import FieldConfig, MapConfig
 from .core.events import OnEvent, ignore
-from .field import NeuralField
+from .volume.neural_field import NeuralField
 from .methods.uncle.mapper import Mapper
 from .sensors.fusion_weights import WEIGHT_SCALE_M
 from .methods.uncle.refinement import refine

@@ -11,7 +11,7 @@ from torch import Tensor
 from ..run.checkpoint import Checkpoint
 from ..core.config.map_config import MapConfig
 from ..core.events import Note, OnEvent, Progress, ignore
-from ..field import NeuralField
+from ..volume.neural_field import NeuralField
 from ..core.frame import Frame
 from .uncle.pipeline import OnBeta
 from .uncle.progress import Timed

@@ -15,7 +15,7 @@ from .confidence.models import ConfidenceModels
 from ..core.config.map_config import MapConfig
 from ..core.errors import DataError
 from ..core.events import OnEvent, track_progress
-from ..field import NeuralField
+from ..volume.neural_field import NeuralField
 from ..core.frame import Frame
 from .map_output import MapOutput
 from .nice.scene import choose_decoders

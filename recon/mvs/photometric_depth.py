@@ -18,7 +18,7 @@ from .plane_sweep import FEATURES, MIN_SOURCES, ColorDepth, choose_sources, dept
 from ..core.config.map_config import ColorConfig, UncertaintyConfig
 from ..core.events import OnEvent, ignore, track_progress
 from ..core.frame import Frame
-from ..map_surface import MapSurface
+from ..volume.tsdf_surface import MapSurface
 from .cost_volume import GreyView
 from ..run.frames import RunFrames
 from .bias_model import CONFIRMED, REFUTED, SensorBias

@@ -8,7 +8,7 @@ import numpy as np
 from torch import Tensor
 
 from ..core.config.map_config import FusionConfig
-from ..fusion import FreeSpace
+from ..volume.tsdf_volume import FreeSpace
 
 WEIGHT_SCALE_M = 0.01  # a reading with this beta weighs 1
 WEIGHT_FLOOR = 0.5  # of the median weight of the image

@@ -16,7 +16,7 @@ from ..core.config.map_config import MapConfig, to_toml
 from ..core.device import choose_device
 from ..core.errors import ConfigError, RunError
 from ..core.events import Note, OnEvent, Warn, ignore
-from ..field import NeuralField
+from ..volume.neural_field import NeuralField
 from ..methods.registry import Job, make_map, trained_parts
 from ..sensors.noise_prior import NoisePrior
 from ..run.frames import RunFrames

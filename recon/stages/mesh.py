@@ -8,7 +8,7 @@ from pathlib import Path
 
 from ..core.events import OnEvent, ignore
 from .map import load_field
-from ..mesh import make_mesh
+from ..volume.mesh_extraction import make_mesh
 from ..run.directory import RunDirectory, config_hash
 from ..core.trajectory import Trajectory
 

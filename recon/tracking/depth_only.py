@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..fusion import FusionVolume
+from ..volume.tsdf_volume import FusionVolume
 from ..core.se3 import motion_between
 from .pose_estimation import Term, is_weak, minimise, prior_term
 from .frame_observations import rule_of_thumb

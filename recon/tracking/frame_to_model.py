@@ -13,7 +13,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from ..fusion import FusionVolume
+from ..volume.tsdf_volume import FusionVolume
 from .pose_estimation import Linearised, Term
 from .tsdf_lookup import look_compiled, look_tensors
 

@@ -14,7 +14,7 @@ import torch
 from ..core.camera import Camera
 from ..core.config.map_config import TrackingConfig
 from ..core.frame import Frame
-from ..fusion import FusionVolume
+from ..volume.tsdf_volume import FusionVolume
 from ..run.tracking_record import Status, TrackedFrame, TrackingRecord
 from ..sensors.noise_model import NoiseModel
 from . import graph_state

@@ -5,9 +5,9 @@ import torch
 from uncle.recon.core.camera import Camera
 from uncle.recon.run.directory.checkpoint import load_tensors, save_tensors
 from uncle.recon.core.config.map_config import FieldConfig
-from uncle.recon.field import ACTIVE_VOXELS, NeuralField
-from uncle.recon.fusion import FusionVolume
-from uncle.recon.grid import SparseGrid
+from uncle.recon.volume.neural_field import ACTIVE_VOXELS, NeuralField
+from uncle.recon.volume.tsdf_volume import FusionVolume
+from uncle.recon.volume.sparse_grid import SparseGrid
 
 CAMERA = Camera(80, 60, 60.0, 60.0, 39.5, 29.5)
 VOXEL = 0.05

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 import torch
-from uncle.recon.grid import BLOCK, ROWS, SparseGrid, unique_blocks
+from uncle.recon.volume.sparse_grid import BLOCK, ROWS, SparseGrid, unique_blocks
 
 
 def cube(low: int, high: int) -> torch.Tensor:

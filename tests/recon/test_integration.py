@@ -4,9 +4,9 @@ import itertools
 
 import pytest
 import torch
-from uncle.recon.fusion import FreeSpace, FusionVolume
-from uncle.recon.grid import SparseGrid
-from uncle.recon.integration import Bounds, Observation, integrate, integrate_tensors
+from uncle.recon.volume.tsdf_volume import FreeSpace, FusionVolume
+from uncle.recon.volume.sparse_grid import SparseGrid
+from uncle.recon.volume.integration import Bounds, Observation, integrate, integrate_tensors
 
 
 def observation(room, weighted: bool, free: bool, colored: bool) -> tuple[Observation, torch.Tensor]:

@@ -2,7 +2,7 @@
 
 import torch
 from torch.nn.functional import embedding_bag
-from uncle.recon.interpolation import weighted_rows
+from uncle.recon.volume.interpolation import weighted_rows
 
 
 def random_problem() -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:

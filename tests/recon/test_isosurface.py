@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 import torch
-from uncle.recon.grid import BLOCK, SparseGrid
-from uncle.recon.isosurface import TILE_BLOCKS, extract_isosurface
+from uncle.recon.volume.sparse_grid import BLOCK, SparseGrid
+from uncle.recon.volume.marching_cubes import TILE_BLOCKS, extract_isosurface
 
 VOXEL = 0.05
 TILE_M = TILE_BLOCKS * BLOCK * VOXEL

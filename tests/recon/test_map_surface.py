@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 import torch
 from uncle.recon.core.camera import Camera
-from uncle.recon.grid import SparseGrid
-from uncle.recon.map_surface import MapSurface
+from uncle.recon.volume.sparse_grid import SparseGrid
+from uncle.recon.volume.tsdf_surface import MapSurface
 
 CAMERA = Camera(64, 48, 50.0, 50.0, 31.5, 23.5)
 WALL_M = 2.03

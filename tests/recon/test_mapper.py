@@ -7,7 +7,7 @@ from uncle.recon.core.config.map_config import make_config
 from uncle.recon.core.frame import Frame
 from uncle.recon.methods.uncle.mapper import Mapper
 from uncle.recon.sensors.noise_inputs import FEATURES
-from uncle.recon.raycast import cast_rays
+from uncle.recon.volume.raycast import cast_rays
 from uncle.recon.sensors.fusion_weights import DOUBT_BETAS
 
 CAMERA = Camera(80, 60, 60.0, 60.0, 39.5, 29.5)

@@ -6,9 +6,9 @@ import torch
 from uncle.recon.core.camera import Camera
 from uncle.recon.core.config.map_config import FieldConfig
 from uncle.recon.core.errors import DataError
-from uncle.recon.field import NeuralField
-from uncle.recon.grid import SparseGrid
-from uncle.recon.mesh import make_mesh, seen_vertices
+from uncle.recon.volume.neural_field import NeuralField
+from uncle.recon.volume.sparse_grid import SparseGrid
+from uncle.recon.volume.mesh_extraction import make_mesh, seen_vertices
 from uncle.recon.core.mesh import Mesh
 
 CAMERA = Camera(160, 120, 120.0, 120.0, 79.5, 59.5)

@@ -11,8 +11,8 @@ from uncle.recon.run.directory.checkpoint import Checkpoint, load_tensors
 from uncle.recon.core.config.map_config import make_config
 from uncle.recon.core.errors import DataError
 from uncle.recon.core.events import Progress
-from uncle.recon.field import NeuralField
-from uncle.recon.grid import SparseGrid
+from uncle.recon.volume.neural_field import NeuralField
+from uncle.recon.volume.sparse_grid import SparseGrid
 from uncle.recon.stages.map import load_field, map_run
 from uncle.recon.methods.registry.online import Found
 from uncle.recon.run.directory.frames import RunFrames

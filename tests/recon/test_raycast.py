@@ -2,8 +2,8 @@
 
 import pytest
 import torch
-from uncle.recon.grid import SparseGrid
-from uncle.recon.raycast import cast_rays, cast_tensors
+from uncle.recon.volume.sparse_grid import SparseGrid
+from uncle.recon.volume.raycast import cast_rays, cast_tensors
 
 VOXEL, TRUNCATION = 0.02, 0.08
 

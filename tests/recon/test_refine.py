@@ -8,9 +8,9 @@ from uncle.recon.methods.uncle import refinement as refinement
 from uncle.recon.core.camera import Camera
 from uncle.recon.core.config.map_config import FieldConfig
 from uncle.recon.core.events import Progress
-from uncle.recon.field import NeuralField
-from uncle.recon.fusion import FusionVolume
-from uncle.recon.grid import SparseGrid
+from uncle.recon.volume.neural_field import NeuralField
+from uncle.recon.volume.tsdf_volume import FusionVolume
+from uncle.recon.volume.sparse_grid import SparseGrid
 from uncle.recon.methods.uncle.ray_batch import RayReadings
 from uncle.recon.methods.uncle.refinement import refine, render_rays, surface_depths
 

@@ -2,7 +2,7 @@
 
 import pytest
 import torch
-from uncle.recon.rendering import render_depth, render_values, sdf_weights
+from uncle.recon.volume.rendering import render_depth, render_values, sdf_weights
 
 SHARPNESS = 0.014
 

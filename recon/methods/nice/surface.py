@@ -11,8 +11,8 @@ from torch import Tensor
 
 from ...core.camera import Camera
 from ...core.config.map_config import MapConfig
-from ...field import ACTIVE_VOXELS, NeuralField
-from ...grid import BLOCK, ROWS, SparseGrid, unique_blocks
+from ...volume.neural_field import ACTIVE_VOXELS, NeuralField
+from ...volume.sparse_grid import BLOCK, ROWS, SparseGrid, unique_blocks
 from .objective import Evaluate
 from .scene import Scene
 

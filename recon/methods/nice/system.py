@@ -10,9 +10,9 @@ from torch import Tensor
 
 from ...core.config.map_config import MapConfig
 from ...core.events import OnEvent, track_progress
-from ...field import NeuralField
+from ...volume.neural_field import NeuralField
 from ...core.frame import Frame
-from ...grid import SparseGrid
+from ...volume.sparse_grid import SparseGrid
 from ..online import Found, Poses
 from ...run.frames import RunFrames
 from .bound import around, bound_of, points_of, set_bound

@@ -13,7 +13,7 @@ from torch import Tensor
 from torch.nn.utils import clip_grad_norm_
 
 from ...core.events import OnEvent, Progress, ignore
-from ...grid import unique_blocks
+from ...volume.sparse_grid import unique_blocks
 from ..senfunet.blending import fused_distance, single_sensor, weighting_inputs
 from ..senfunet.bricks import BRICK, brick_samples, inner_part
 from ..senfunet.models import SenfunetModel

@@ -5,7 +5,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from ...grid import BLOCK
+from ...volume.sparse_grid import BLOCK
 from .network import HALO
 
 BRICK = 2 * BLOCK  # samples along the side, without the halo

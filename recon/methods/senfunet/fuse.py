@@ -9,9 +9,9 @@ from torch import Tensor
 from ...core.config.map_config import MapConfig
 from ...core.errors import ConfigError
 from ...core.events import OnEvent, Progress, Warn, ignore, track_progress
-from ...field import NeuralField
+from ...volume.neural_field import NeuralField
 from ...core.frame import Frame
-from ...grid import SparseGrid, unique_blocks
+from ...volume.sparse_grid import SparseGrid, unique_blocks
 from ...run.frames import RunFrames
 from .blending import believed, fused_distance, weighting_inputs
 from .bricks import brick_samples, inner_part

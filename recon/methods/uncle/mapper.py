@@ -12,11 +12,11 @@ from ...core.camera import Camera
 from ...mvs.photometric_depth import ColorWitness
 from ...core.config.map_config import MapConfig
 from ...core.frame import Frame
-from ...fusion import FusionVolume
+from ...volume.tsdf_volume import FusionVolume
 from .fusion_log import FusionLog
-from ...grid import SparseGrid
+from ...volume.sparse_grid import SparseGrid
 from .keyframes import KeyframeSelector, RayStore
-from ...map_surface import MapSurface
+from ...volume.tsdf_surface import MapSurface
 from ...sensors.noise_inputs import noise_features
 from .ray_batch import RayReadings
 from ...sensors.fusion_weights import ReadingWeights

@@ -17,7 +17,7 @@ from ...core.config.map_config import MapConfig
 from ...core.device import choose_device
 from ...core.errors import DataError
 from ...core.events import Note, OnEvent, Progress, ignore
-from ...field import NeuralField
+from ...volume.neural_field import NeuralField
 from ...core.frame import Frame
 from .mapper import Mapper
 from ...sensors.noise_prior import NoisePrior

@@ -9,7 +9,7 @@ import torch
 from numba import njit
 from torch import Tensor
 
-from ...grid import SparseGrid
+from ...volume.sparse_grid import SparseGrid
 
 _THIN = 1e-6  # metres: a corner that is merely touched is not passed through
 

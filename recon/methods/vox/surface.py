@@ -10,8 +10,8 @@ from torch import Tensor
 from ...core.camera import Camera
 from ...core.config.map_config import FieldConfig
 from ...core.events import OnEvent, ignore, track_progress
-from ...field import ACTIVE_VOXELS, NeuralField
-from ...grid import ROWS, SparseGrid
+from ...volume.neural_field import ACTIVE_VOXELS, NeuralField
+from ...volume.sparse_grid import ROWS, SparseGrid
 from .model import VoxModel
 
 MAX_VIEWS = 60  # asked what they saw

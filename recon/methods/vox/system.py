@@ -10,7 +10,7 @@ from torch import Tensor
 
 from ...core.config.map_config import MapConfig
 from ...core.events import OnEvent, track_progress
-from ...field import NeuralField
+from ...volume.neural_field import NeuralField
 from ...core.frame import Frame
 from ..online import Found, Poses
 from ...run.frames import RunFrames

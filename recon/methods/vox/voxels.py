@@ -5,7 +5,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from ...grid import BLOCK, CORNERS, SparseGrid
+from ...volume.sparse_grid import BLOCK, CORNERS, SparseGrid
 
 
 class VoxelMap:

@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
-from uncle.recon.fusion import FusionVolume
-from uncle.recon.grid import SparseGrid
+from uncle.recon.volume.tsdf_volume import FusionVolume
+from uncle.recon.volume.sparse_grid import SparseGrid
 from uncle.recon.core.se3 import angle, inverse, motion_between, moved, transform
 from uncle.recon.tracking.pose_estimation import minimise
 from uncle.recon.tracking.frame_to_model import COLOR_SIGMA, LEAST_SCALE, Readings, agreement, scaled, surface_residuals, surface_term

@@ -11,8 +11,8 @@ import torch
 from uncle.recon.core.config.map_config import TrackingConfig
 from uncle.recon.core.normals import normals, smooth_depth
 from uncle.recon.core.frame import Frame
-from uncle.recon.fusion import FusionVolume
-from uncle.recon.grid import SparseGrid
+from uncle.recon.volume.tsdf_volume import FusionVolume
+from uncle.recon.volume.sparse_grid import SparseGrid
 from uncle.recon.tracking.tracker import AlignTracker
 from uncle.recon.tracking.keyframe_graph import KeyframeGraph
 from uncle.recon.tracking.landmarks import Sighting

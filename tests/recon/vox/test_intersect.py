@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 import torch
-from uncle.recon.grid import SparseGrid
+from uncle.recon.volume.sparse_grid import SparseGrid
 from uncle.recon.methods.vox.intersect import intersect, intersect_tensors
 
 SIZE = 0.2

@@ -7,7 +7,7 @@ from uncle.recon.run.directory.checkpoint import Checkpoint
 from uncle.recon.core.config.map_config import make_config
 from uncle.recon.core.events import Progress
 from uncle.recon.stages.map import load_field, map_run
-from uncle.recon.mesh import make_mesh
+from uncle.recon.volume.mesh_extraction import make_mesh
 from uncle.recon.methods.registry.online import map_online
 from uncle.recon.run.directory.frames import RunFrames
 from uncle.recon.methods.vox.system import VoxSystem

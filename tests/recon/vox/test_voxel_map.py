@@ -3,7 +3,7 @@
 import pytest
 import torch
 from torch.nn.functional import grid_sample
-from uncle.recon.grid import CORNERS
+from uncle.recon.volume.sparse_grid import CORNERS
 from uncle.recon.methods.vox.lookup import corner_weights, trilinear
 from uncle.recon.methods.vox.voxels import VoxelMap
 

@@ -13,9 +13,9 @@ import torch
 from numba import njit
 from torch import Tensor
 
-from .core.camera import Camera
-from .grid import BLOCK, ROWS
-from .core.threads import share_out
+from ..core.camera import Camera
+from .sparse_grid import BLOCK, ROWS
+from ..core.threads import share_out
 
 MIN_Z_M = 0.05
 _BLOCKS_AT_A_TIME = 2048

@@ -7,7 +7,7 @@ import torch
 from numba import njit
 from torch import Tensor
 
-from .grid import SparseGrid, row_of
+from .sparse_grid import SparseGrid, row_of
 
 CHUNK = 8192  # rays at a time: about 100 MB
 _FINE = 9  # interpolated samples around a coarse crossing

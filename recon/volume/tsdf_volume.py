@@ -12,8 +12,8 @@ import torch
 from torch import Tensor
 from torch.nn.functional import max_pool2d
 
-from .core.camera import Camera
-from .grid import BLOCK, ROWS, SparseGrid
+from ..core.camera import Camera
+from .sparse_grid import BLOCK, ROWS, SparseGrid
 from .integration import MIN_Z_M, Bounds, Observation, integrate
 
 _TILE = 16  # pixels: occlusion is decided on tiles

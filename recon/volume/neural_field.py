@@ -13,9 +13,9 @@ from typing import Any
 import torch
 from torch import Tensor, nn
 
-from .core.config.map_config import FieldConfig
-from .fusion import FusionVolume
-from .grid import ROWS, SparseGrid, unique_blocks
+from ..core.config.map_config import FieldConfig
+from .tsdf_volume import FusionVolume
+from .sparse_grid import ROWS, SparseGrid, unique_blocks
 from .interpolation import weighted_rows
 
 ACTIVE_VOXELS = 3.0  # samples this close to the surface can be moved

@@ -9,8 +9,8 @@ import torch
 from skimage.measure import marching_cubes
 from torch import Tensor
 
-from .core.events import OnEvent, ignore, track_progress
-from .grid import BLOCK, SparseGrid, unique_blocks
+from ..core.events import OnEvent, ignore, track_progress
+from .sparse_grid import BLOCK, SparseGrid, unique_blocks
 
 TILE_BLOCKS = 8  # a tile is 64^3 cells: 1 MB of float32, and large enough that calls do not dominate
 _SIDE = TILE_BLOCKS * BLOCK

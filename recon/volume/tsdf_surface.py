@@ -8,8 +8,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from .core.camera import Camera
-from .grid import SparseGrid
+from ..core.camera import Camera
+from .sparse_grid import SparseGrid
 from .raycast import cast_rays
 
 
