@@ -41,7 +41,7 @@ system:
 	  { echo "$$($(PYTHON) --version) is too old, 3.11 is needed; name another one: make PYTHON=/path/to/python3.11" >&2; exit 1; }
 	@$(PYTHON) -c 'import ensurepip, venv' 2>/dev/null || \
 	  { echo "Python's venv is missing; install it with: sudo apt-get install -y $$(basename $(PYTHON))-venv" >&2; exit 1; }
-	@$(PYTHON) -I recon/system.py
+	@$(PYTHON) -I recon/core/system_check.py
 
 $(STAMP): pyproject.toml constraints.txt | system
 	@echo 'Setting up $(VENV); the first time takes a few minutes.'

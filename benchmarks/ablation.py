@@ -11,6 +11,7 @@ from typing import NamedTuple
 
 from chain import SENSOR_COLUMNS
 from common import carry_out
+from uncle.recon.core.errors import RunError, UncleError
 from uncle.recon.evaluation.bench import statistics
 from uncle.recon.evaluation.bench.paper_tables import mean_text
 from uncle.recon.evaluation.bench.process import Record, evaluate, map_costs, new_run, sensor_options, uncle
@@ -19,7 +20,6 @@ from uncle.recon.evaluation.bench.statistics import Metric
 from uncle.recon.evaluation.bench.tables import cell, markdown_table, number
 from uncle.recon.evaluation.bench.variants import GROUPS, METHOD_OF, Settings, choose_variants
 from uncle.recon.evaluation.bench.variants import UNWEIGHTED as BASELINE
-from uncle.recon.core.errors import RunError, UncleError
 
 OWN_GROUPS = [group for group in GROUPS if group not in METHOD_OF]  # of the default method
 

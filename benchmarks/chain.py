@@ -10,11 +10,11 @@ from pathlib import Path
 from typing import NamedTuple
 
 from common import carry_out
+from uncle.recon.core.errors import UncleError
 from uncle.recon.evaluation.bench.methods import known_methods
 from uncle.recon.evaluation.bench.process import Record, evaluate, map_costs, new_run, sensor_options, uncle
 from uncle.recon.evaluation.bench.scores import scores
 from uncle.recon.evaluation.bench.tables import cell, markdown_table, ratio
-from uncle.recon.core.errors import UncleError
 
 BASELINE = "tsdf"  # knows no seed: scored once, timed BASELINE_TIMES between the other runs
 BASELINE_TIMES = 3

@@ -7,9 +7,9 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
+from uncle.recon.core.events import Event, Note, Warn
 from uncle.recon.evaluation.bench import records
 from uncle.recon.evaluation.bench.process import Record
-from uncle.recon.core.events import Event, Note, Warn
 
 
 def carry_out(

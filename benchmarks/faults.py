@@ -14,13 +14,13 @@ import torch
 from common import carry_out
 from torch import Tensor
 from uncle.datasets import open_dataset
+from uncle.recon.core.errors import UncleError
+from uncle.recon.core.frame import Frame, Recording
 from uncle.recon.evaluation.bench.process import Record, new_run, sensor_options, uncle
 from uncle.recon.evaluation.bench.scores import surface_scores
 from uncle.recon.evaluation.bench.tables import cell, markdown_table
-from uncle.recon.core.errors import UncleError
-from uncle.recon.core.frame import Frame, Recording
-from uncle.recon.stages.preprocess import preprocess
 from uncle.recon.run.directory.directory import RunDirectory
+from uncle.recon.stages.preprocess import preprocess
 
 FAULTS = ("none", "zero", "frozen", "shifted")
 SHIFT_M = 0.2

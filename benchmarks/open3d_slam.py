@@ -15,12 +15,12 @@ from pathlib import Path
 import numpy as np
 import open3d as o3d
 from uncle.recon.core.errors import UncleError
-from uncle.recon.core.frame import Frame
-from uncle.recon.stages.map import choose_sensors, peak_memory_mb
-from uncle.recon.run.directory.frames import RunFrames
-from uncle.recon.run.directory.directory import RunDirectory
 from uncle.recon.core.files import DEPTH_UNITS_PER_M, encode_metres
+from uncle.recon.core.frame import Frame
 from uncle.recon.core.trajectory import Trajectory
+from uncle.recon.run.directory.directory import RunDirectory
+from uncle.recon.run.directory.frames import RunFrames
+from uncle.recon.stages.map import choose_sensors, peak_memory_mb
 
 METHODS = {
     "open3d": o3d.t.pipelines.odometry.Method.PointToPlane,  # depth alone: Open3D's default

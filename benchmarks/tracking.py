@@ -13,13 +13,21 @@ from pathlib import Path
 from typing import NamedTuple
 
 from common import carry_out
-from uncle.recon.evaluation.bench.process import LAUNCHER, Record, map_facts, new_run, run_process, sensor_options, uncle
+from uncle.recon.core.errors import DataError, RunError, UncleError
+from uncle.recon.core.trajectory import Trajectory
+from uncle.recon.evaluation.bench.process import (
+    LAUNCHER,
+    Record,
+    map_facts,
+    new_run,
+    run_process,
+    sensor_options,
+    uncle,
+)
 from uncle.recon.evaluation.bench.scores import surface_scores
 from uncle.recon.evaluation.bench.tables import cell, markdown_table, ratio
-from uncle.recon.core.errors import DataError, RunError, UncleError
-from uncle.recon.run.directory.tracking_record import TrackingRecord
-from uncle.recon.core.trajectory import Trajectory
 from uncle.recon.evaluation.trajectory_metrics import evaluate_trajectory
+from uncle.recon.run.directory.tracking_record import TrackingRecord
 
 BASELINE = "open3d"
 SYSTEMS = ("uncle", BASELINE, "open3d-hybrid", "given")  # ours, Open3D's SLAM twice, ours with the poses of the data

@@ -55,12 +55,12 @@ def command(
     uncle bench paper rooms/living_room --sensors sl psmnet sl+psmnet --seeds 5
     uncle bench paper synth:7 synth:8 --methods uncle uncle-paper nice-slam tsdf --settings given
     """
+    from ..recon.core.config.map_config import make_config
     from ..recon.evaluation.bench.methods import known_methods
     from ..recon.evaluation.bench.paper import Bench, run_paper
     from ..recon.evaluation.bench.paper_tables import DETAILS
     from ..recon.evaluation.bench.plan import Choice
     from ..recon.evaluation.bench.variants import variants_of_methods
-    from ..recon.core.config.map_config import make_config
 
     chosen = methods or tuple(known_methods())
     variants = tuple(variants_of_methods(ablation))

@@ -11,10 +11,10 @@ from .console import listener, print_json, print_table
 from .options import json_option, run_option, seed_option
 
 if TYPE_CHECKING:
-    from ..recon.evaluation.trajectory_pair import CameraPath
     from ..recon.evaluation.color_metrics import HeldOutColor
     from ..recon.evaluation.depth_metrics import HeldOutDepth
     from ..recon.evaluation.run_metrics import EvalSettings, RunMetrics, SurfaceMetrics
+    from ..recon.evaluation.trajectory_pair import CameraPath
 
 HEADER = ("Metric", "Value", "Unit")
 Rows = list[tuple[str, str, str]]
@@ -103,9 +103,9 @@ def _are_trajectories(first: Path, second: Path) -> bool:
 
 
 def _evaluate_trajectory(ctx: click.Context, estimate: Path, reference: Path, plot: Path | None, as_json: bool) -> None:
-    from ..recon.evaluation.trajectory_pair import CameraPath
-    from ..recon.evaluation.run_metrics import to_plain
+    from ..recon.core.json_values import to_plain
     from ..recon.evaluation.trajectory_metrics import evaluate_trajectory
+    from ..recon.evaluation.trajectory_pair import CameraPath
     from ..recon.visualization.trajectory_table import trajectory_rows
 
     path = CameraPath.of_files(estimate, reference)
@@ -130,10 +130,11 @@ def _plot(ctx: click.Context, path: CameraPath, folder: Path) -> None:
 def _evaluate_mesh(
     mesh_path: Path, gt_path: Path, settings: EvalSettings, cull: Path | None, error_mesh: Path | None, as_json: bool
 ) -> None:
+    from ..recon.core.json_values import to_plain
     from ..recon.core.mesh import Mesh
-    from ..recon.run.directory import RunDirectory
-    from ..recon.evaluation.run_metrics import score_surface, to_plain, write_error_mesh
+    from ..recon.evaluation.run_metrics import score_surface, write_error_mesh
     from ..recon.evaluation.visibility import Visibility
+    from ..recon.run.directory import RunDirectory
 
     mesh, reference = Mesh.load(mesh_path), Mesh.load(gt_path)
     visibility = Visibility.of_run(RunDirectory(cull)) if cull is not None else None
@@ -158,12 +159,13 @@ def _evaluate_run(
     plot: Path | None,
     as_json: bool,
 ) -> None:
-    from ..recon.evaluation.trajectory_pair import CameraPath
     from ..recon.core.errors import DataError
     from ..recon.core.events import Warn
+    from ..recon.core.json_values import to_plain
     from ..recon.core.mesh import Mesh
+    from ..recon.evaluation.run_metrics import evaluate_run, load_reference, write_error_mesh
+    from ..recon.evaluation.trajectory_pair import CameraPath
     from ..recon.run.directory import RunDirectory
-    from ..recon.evaluation.run_metrics import evaluate_run, load_reference, to_plain, write_error_mesh
 
     run = RunDirectory(run_path)
     metrics = evaluate_run(run, settings, listener(ctx))

@@ -50,9 +50,9 @@ def command(
     """
     from ..recon.core.config.map_config import make_config
     from ..recon.core.events import Note
-    from ..recon.stages.map import map_run
-    from ..recon.sensors.noise_prior import NoisePrior
     from ..recon.run.directory import RunDirectory
+    from ..recon.sensors.noise_prior import NoisePrior
+    from ..recon.stages.map import map_run
 
     if not color and not track:
         raise click.UsageError("--no-color is about tracking; add --track")

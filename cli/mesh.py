@@ -28,8 +28,8 @@ def command(
 ) -> None:  # fmt: skip
     """Extract the surface of a finished map as PLY: colour, and confidence (1 sigma, metres) per vertex."""
     from ..recon.core.events import Note
-    from ..recon.stages.mesh import mesh_run
     from ..recon.run.directory import RunDirectory
+    from ..recon.stages.mesh import mesh_run
 
     say = listener(ctx)
     summary = mesh_run(

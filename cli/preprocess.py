@@ -36,8 +36,8 @@ def command(
     """
     from ..datasets import open_dataset
     from ..recon.core.events import Note
-    from ..recon.stages.preprocess import preprocess
     from ..recon.run.directory import RunDirectory
+    from ..recon.stages.preprocess import preprocess
 
     on_event = listener(ctx)
     recording = open_dataset(dataset, format_name)

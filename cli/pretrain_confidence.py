@@ -46,9 +46,9 @@ def command(
     \b
     uncle pretrain confidence rooms/a rooms/b rooms/c --sensor sgm --out sgm.pt
     """
-    from ..recon.methods.confidence.models import save_network
     from ..recon.core.device import choose_device
     from ..recon.core.events import Note
+    from ..recon.methods.confidence.models import save_network
     from ..recon.methods.pretrain.confidence import ConfidenceTraining, train_confidence
     from ..recon.methods.pretrain.depth_pairs import DepthPairs
 

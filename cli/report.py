@@ -22,7 +22,7 @@ def command(ctx: click.Context, run_path: Path, renderer: str) -> None:
 
     The page carries everything it shows; what the run does not hold is left out, with the command that makes it.
     """
-    from ..recon.stages.report import write_report
     from ..recon.run.directory import RunDirectory
+    from ..recon.stages.report import write_report
 
     click.echo(str(write_report(RunDirectory(run_path), renderer, listener(ctx))))

@@ -14,8 +14,8 @@ if TYPE_CHECKING:
 def open_sources(paths: Sequence[Path]) -> Iterator[tuple[str, FileRecording | RunFrames]]:
     """Name and frames of each data set or run directory. Raises DataError, RunError."""
     from ..datasets import open_dataset
-    from ..recon.run.frames import RunFrames
     from ..recon.run.directory import RunDirectory
+    from ..recon.run.frames import RunFrames
 
     for path in paths:
         is_run = (path / "manifest.json").is_file()

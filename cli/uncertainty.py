@@ -33,10 +33,10 @@ def command(
     uncle uncertainty --sensor sgm --frame 40 --out pictures
     """
     from ..recon.core.events import Note
+    from ..recon.core.json_values import to_plain
     from ..recon.run.directory import RunDirectory
-    from ..recon.evaluation.run_metrics import to_plain
     from ..recon.stages.uncertainty import uncertainty_run
-    from ..recon.evaluation.sensor_summary import summary_table
+    from ..recon.visualization.uncertainty_table import summary_table
 
     run, say = RunDirectory(run_path), listener(ctx)
     found = uncertainty_run(run, out or run.snapshots_path, sensors, frame, on_event=say)

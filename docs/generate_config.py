@@ -7,7 +7,8 @@ from typing import Any, Literal, get_args, get_origin
 
 from pydantic import BaseModel
 from pydantic.fields import FieldInfo
-from uncle.recon.core.config.map_config import PRESETS, MapConfig, known_keys
+from uncle.recon.core.config.map_config import MapConfig, known_keys
+from uncle.recon.core.config.presets import PRESETS
 
 PAGE = Path(__file__).with_name("config.md")
 HEAD = """# Settings

@@ -7,9 +7,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 from scipy import stats
-from uncle.recon.evaluation.bench.statistics import ALL_SCENES
 from uncle.recon.core.config.map_config import make_config
 from uncle.recon.core.errors import ConfigError
+from uncle.recon.evaluation.bench.statistics import ALL_SCENES
 from uncle.recon.sensors.noise_model import seen_features
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "benchmarks"))  # the programs import each other by their bare names

@@ -60,3 +60,22 @@ class Camera:
 
     def to_dict(self) -> dict[str, float]:
         return {key: getattr(self, key) for key in ("width", "height", "fx", "fy", "cx", "cy")}
+
+
+MIN_DEPTH_M = 0.1  # nearer than any depth sensor measures
+
+
+def project_into(
+    points: np.ndarray, camera: Camera, T_world_camera: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """The points that fall into the image, in front of the camera.
+
+    (N, 3) world points -> positions (M,) into `points`, nearest pixels (M, 2) as column and row, z (M,) metres.
+    """
+    local = (points - T_world_camera[:3, 3]) @ T_world_camera[:3, :3]
+    front = np.flatnonzero(local[:, 2] > MIN_DEPTH_M)
+    x, y, z = local[front].T
+    u = np.rint(camera.fx * x / z + camera.cx).astype(np.int64)
+    v = np.rint(camera.fy * y / z + camera.cy).astype(np.int64)
+    inside = (u >= 0) & (u < camera.width) & (v >= 0) & (v < camera.height)
+    return front[inside], np.column_stack([u[inside], v[inside]]), z[inside]

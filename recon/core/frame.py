@@ -56,3 +56,6 @@ class Recording(Protocol):
     def color(self, index: int) -> Tensor: ...
 
     def depth(self, index: int, sensor: str) -> Tensor: ...
+
+
+GROUND_TRUTH_SENSOR = "gt"

@@ -1,6 +1,7 @@
 """Which system libraries are missing, and the command that installs them.
 
-Standard library only at import: `python -I recon/system.py` checks a machine before anything is installed there.
+Standard library only at import: `python -I recon/core/system_check.py` checks a machine before anything is
+installed there.
 """
 
 from __future__ import annotations

@@ -11,8 +11,8 @@ import numpy as np
 from ..core.camera import Camera
 from ..core.errors import DataError
 from ..core.mesh import Mesh
-from .mesh_metrics import PointFilter, near_to
 from ..core.mesh_raycaster import Surface
+from .mesh_metrics import PointFilter, near_to
 
 PAPER_CAMERA = Camera(500, 500, 300.0, 300.0, 249.5, 249.5)  # METHOD, Depth L1
 QUICK_CAMERA = Camera(125, 125, 75.0, 75.0, 62.0, 62.0)  # the same field of view at a quarter of the size

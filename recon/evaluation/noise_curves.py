@@ -8,7 +8,7 @@ import numpy as np
 
 from ..core.errors import DataError
 from ..run.frames import RunFrames
-from ..visualization.sensor_pictures import read_sensor_frame, spread_frames
+from .sensor_frames import read_sensor_frame, spread_frames
 
 _FRAMES = 12
 _STRIDE = 3  # pixels between the readings that count

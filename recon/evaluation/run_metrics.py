@@ -2,31 +2,32 @@
 
 from __future__ import annotations
 
-import dataclasses
 import json
-import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import TypeVar
 
 import numpy as np
 
-from .uncertainty_calibration import UncertaintyMetrics, evaluate_uncertainty
-from .color_metrics import HeldOutColor, held_out_color
-from .vertex_sigma_metrics import ConfidenceMetrics, evaluate_confidence
-from .depth_metrics import HeldOutDepth, NovelViewDepth, ViewSettings, held_out_depth, novel_view_depth
 from ..core.errors import DataError, RunError, UncleError
 from ..core.events import Note, OnEvent, ignore, track_progress
-from ..core.mesh import Mesh
-from .mesh_metrics import CompletenessTarget, MeshMetrics, Protocol, color_by_distance, evaluate_mesh, moved
-from ..run.frames import RunFrames
-from ..run.directory import Manifest, RunDirectory
-from .run_trajectory import score_tracking, score_trajectory
 from ..core.files import write_text
+from ..core.frame import GROUND_TRUTH_SENSOR
+from ..core.json_values import to_plain
+from ..core.mesh import Mesh
+from ..run.directory import RunDirectory
+from ..run.frames import RunFrames
+from ..run.manifest import Manifest
+from .color_metrics import HeldOutColor, held_out_color
+from .depth_metrics import HeldOutDepth, NovelViewDepth, ViewSettings, held_out_depth, novel_view_depth
+from .mesh_metrics import CompletenessTarget, MeshMetrics, Protocol, color_by_distance, evaluate_mesh, moved
+from .run_trajectory import score_tracking, score_trajectory
 from .tracking_metrics import TrackingMetrics
 from .trajectory_metrics import TrajectoryMetrics
-from .visibility import GROUND_TRUTH_SENSOR, Visibility
+from .uncertainty_calibration import UncertaintyMetrics, evaluate_uncertainty
+from .vertex_sigma_metrics import ConfidenceMetrics, evaluate_confidence
+from .visibility import Visibility
 
 UNCERTAINTY_READINGS = 500_000  # per sensor, drawn evenly from the frames
 GIVEN_POSES_M = 1e-6  # a trajectory this close to the truth was not estimated
@@ -168,19 +169,6 @@ def load_reference(manifest: Manifest) -> Mesh:
     if not Path(manifest.reference_mesh).is_file():
         raise DataError(f"the ground-truth mesh {manifest.reference_mesh} is no longer there")
     return Mesh.load(Path(manifest.reference_mesh))
-
-
-def to_plain(value: Any) -> Any:
-    """Nested dataclasses, tuples and numbers as JSON can hold them; what is not finite becomes None."""
-    if dataclasses.is_dataclass(value) and not isinstance(value, type):
-        return {field.name: to_plain(getattr(value, field.name)) for field in dataclasses.fields(value)}
-    if isinstance(value, dict):
-        return {key: to_plain(item) for key, item in value.items()}
-    if isinstance(value, tuple | list):
-        return [to_plain(item) for item in value]
-    if isinstance(value, float) and not math.isfinite(value):
-        return None
-    return value
 
 
 def _attempt(part: str, skipped: dict[str, str], score: Callable[[], T]) -> T | None:

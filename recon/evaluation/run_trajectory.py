@@ -6,13 +6,13 @@ import dataclasses
 
 import numpy as np
 
-from .trajectory_pair import CameraPath
 from ..core.errors import DataError
-from ..run.frames import RunFrames
 from ..run.directory import RunDirectory
-from .tracking_metrics import TrackingMetrics, evaluate_tracking, rows_at
+from ..run.frames import RunFrames
 from ..run.tracking_record import TrackingRecord
+from .tracking_metrics import TrackingMetrics, evaluate_tracking, rows_at
 from .trajectory_metrics import TrajectoryMetrics, evaluate_trajectory
+from .trajectory_pair import CameraPath
 
 
 def score_trajectory(run: RunDirectory) -> TrajectoryMetrics:

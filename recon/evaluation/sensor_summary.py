@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
 
-from .uncertainty_calibration import UncertaintyMetrics
-from .noise_curves import Readings
 from ..run.directory import RunDirectory
-from ..visualization.uncertainty_table import uncertainty_rows
+from .noise_curves import Readings
+from .uncertainty_calibration import UncertaintyMetrics
 
 DISTANCES_M = (1, 2, 3, 5)
 WITHIN = 0.1  # readings this share nearer or farther count for a distance
@@ -75,27 +73,3 @@ def standing_of(run: RunDirectory, sensor: str) -> Standing:
     known = [mapped.facts.get(fact) if mapped else None for fact in ("sensor_share", "reading_worth")]
     values = [fact.get(sensor) if isinstance(fact, dict) else None for fact in known]
     return Standing(*(float(value) if isinstance(value, int | float) else None for value in values))
-
-
-def summary_table(sensors: Mapping[str, SensorUncertainty]) -> tuple[list[str], list[list[str]]]:
-    """Header and rows of text for people: a column for each sensor, in % and cm; "-" where a sensor has no figure."""
-    columns = {sensor: {(name, unit): value for name, value, unit in _figures(s)} for sensor, s in sensors.items()}
-    figures = dict.fromkeys(figure for column in columns.values() for figure in column)
-    rows = [[name, *(column.get((name, unit), "-") for column in columns.values()), unit] for name, unit in figures]
-    return ["Figure", *columns, "Unit"], rows
-
-
-def _figures(sensor: SensorUncertainty) -> list[tuple[str, str, str]]:
-    share = "-" if sensor.map_share is None else f"{sensor.map_share * 100:.1f}"
-    rows = [
-        ("share in the map", share, "%"),
-        *([] if sensor.reading_worth is None else [("worth of a reading", f"{sensor.reading_worth:.2f}", "")]),
-        ("beta, median", _cm(sensor.median_beta_m), "cm"),
-        ("beta of the middle 80 % of readings", f"{_cm(sensor.low_beta_m)} to {_cm(sensor.high_beta_m)}", "cm"),
-        *((f"beta at {distance} m", _cm(beta), "cm") for distance, beta in sensor.beta_at_m.items()),
-    ]
-    return rows + (uncertainty_rows(sensor.scores) if sensor.scores is not None else [])
-
-
-def _cm(metres: float | None) -> str:
-    return "-" if metres is None else f"{metres * 100:.2f}"

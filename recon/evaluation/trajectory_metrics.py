@@ -8,9 +8,9 @@ from functools import cached_property
 import numpy as np
 from scipy.spatial import cKDTree
 
-from .drift import Drift, measure_drift, motion_errors, rotation_angles
 from ..core.errors import DataError
 from ..core.trajectory import Trajectory
+from .drift import Drift, measure_drift, motion_errors, rotation_angles
 
 MAX_DIFFERENCE_S = 0.02
 _RPE_SECONDS = 1.0

@@ -9,9 +9,9 @@ from pathlib import Path
 import numpy as np
 
 from ..core.errors import DataError
+from ..core.trajectory import Trajectory
 from ..run.directory import RunDirectory
 from ..run.tracking_record import TrackingRecord
-from ..core.trajectory import Trajectory
 from .trajectory_metrics import MatchedPoses, has_clock
 
 

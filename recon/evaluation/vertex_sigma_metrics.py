@@ -8,11 +8,11 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.stats import norm
 
-from .uncertainty_calibration import BINS, rank_correlation, sparsification
 from ..core.errors import DataError
 from ..core.mesh import Mesh
-from ..sensors.intervals import LEVELS
 from ..core.mesh_raycaster import Surface
+from ..sensors.intervals import LEVELS
+from .uncertainty_calibration import BINS, rank_correlation, sparsification
 
 MEDIAN_IN_SIGMAS = float(norm.ppf(0.75))  # 0.674, of the distance |e| of a Gaussian error
 SIGMAS = (1.0, 2.0)

@@ -8,15 +8,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..core.camera import Camera
+from ..core.camera import project_into
 from ..core.errors import DataError, RunError
+from ..core.frame import GROUND_TRUTH_SENSOR
 from ..core.mesh import Mesh
-from ..run.frames import RunFrames
-from ..run.directory import RunDirectory
 from ..core.mesh_raycaster import Surface
+from ..run.directory import RunDirectory
+from ..run.frames import RunFrames
 
-GROUND_TRUTH_SENSOR = "gt"
-MIN_DEPTH_M = 0.1  # nearer than any depth sensor measures
 BEHIND_M = 0.2  # how far behind a reading a point still counts as visible
 FEW_FRAMES = 60  # fewer are all asked; of more, every second at most: neighbours see the same
 MAX_STRIDE = 4  # pixels between the readings that stand for the seen reference; fewer where there are few
@@ -94,22 +93,6 @@ class Visibility:
         for index in self.indices:
             depths = [self.frames.depth(index, sensor).numpy() for sensor in self.sensors]
             yield self.frames.pose(index), depths
-
-
-def project_into(
-    points: np.ndarray, camera: Camera, T_world_camera: np.ndarray
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """The points that fall into the image, in front of the camera.
-
-    (N, 3) world points -> positions (M,) into `points`, nearest pixels (M, 2) as column and row, z (M,) metres.
-    """
-    local = (points - T_world_camera[:3, 3]) @ T_world_camera[:3, :3]
-    front = np.flatnonzero(local[:, 2] > MIN_DEPTH_M)
-    x, y, z = local[front].T
-    u = np.rint(camera.fx * x / z + camera.cx).astype(np.int64)
-    v = np.rint(camera.fy * y / z + camera.cy).astype(np.int64)
-    inside = (u >= 0) & (u < camera.width) & (v >= 0) & (v < camera.height)
-    return front[inside], np.column_stack([u[inside], v[inside]]), z[inside]
 
 
 def voxel_means(points: np.ndarray, voxel_m: float) -> np.ndarray:

@@ -9,11 +9,11 @@ from typing import Any
 
 from torch import Tensor
 
-from ..sensors import fault_record as sensor_record
 from ..core.events import OnEvent, Warn
-from ..run.directory import RunDirectory
-from ..sensors.fault_detection import SensorHealth
 from ..core.files import BETA_UNITS_PER_M, encode_metres, explain_write_errors, write_image, write_text
+from ..run.directory import RunDirectory
+from ..sensors import fault_record as sensor_record
+from ..sensors.fault_detection import SensorHealth
 
 
 class MapOutput:

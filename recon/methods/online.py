@@ -8,16 +8,16 @@ from typing import Any, Protocol
 import numpy as np
 from torch import Tensor
 
-from ..run.checkpoint import Checkpoint
 from ..core.config.map_config import MapConfig
 from ..core.events import Note, OnEvent, Progress, ignore
-from ..volume.neural_field import NeuralField
 from ..core.frame import Frame
-from .uncle.pipeline import OnBeta
-from .uncle.progress import Timed
+from ..core.timing import Timed
+from ..run.checkpoint import Checkpoint
 from ..run.frames import RunFrames
-from ..tracking import require_found
 from ..run.tracking_record import Status, TrackedFrame, TrackingRecord
+from ..tracking.base import require_found
+from ..volume.neural_field import NeuralField
+from .base import OnBeta
 
 Poses = dict[int, np.ndarray]  # frame index -> T_world_camera (4, 4) float64
 

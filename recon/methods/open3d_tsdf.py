@@ -8,9 +8,9 @@ import torch
 from ..core.camera import Camera
 from ..core.config.map_config import MapConfig
 from ..core.events import OnEvent, Progress, ignore
+from ..run.frames import RunFrames
 from ..volume.neural_field import NeuralField
 from ..volume.sparse_grid import BLOCK, ROWS, SparseGrid
-from ..run.frames import RunFrames
 
 _RESOLUTION = 16  # samples along the side of an Open3D block
 _START_BLOCKS = 3000  # grows as needed; each takes 80 kB

@@ -4,55 +4,30 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 import torch
 
-from ..run.checkpoint import Checkpoint, save_tensors
-from .confidence.models import ConfidenceModels
 from ..core.config.map_config import MapConfig
 from ..core.errors import DataError
 from ..core.events import OnEvent, track_progress
-from ..volume.neural_field import NeuralField
 from ..core.frame import Frame
+from ..core.tensor_files import save_tensors
+from ..run.frames import RunFrames
+from ..sensors.noise_prior import save_noise_models
+from ..tracking.base import Tracker, require_found
+from ..tracking.factory import choose_tracker
+from ..volume.neural_field import NeuralField
+from .base import Job, Made
+from .confidence.models import ConfidenceModels
 from .map_output import MapOutput
 from .nice.scene import choose_decoders
-from ..sensors.noise_prior import NoisePrior, save_noise_models
 from .online import OnlineSystem, map_online
-from .uncle.pipeline import choose_device, choose_tracker, reconstruct
-from ..run.frames import RunFrames
-from ..run.directory import RunDirectory
+from .open3d_tsdf import fuse_open3d
 from .senfunet.fuse import fuse_senfunet, require_pair
 from .senfunet.models import SenfunetModel
-from ..tracking import Tracker, require_found
-from ..run.tracking_record import TrackingRecord
-from .open3d_tsdf import fuse_open3d
-
-
-@dataclass(frozen=True)
-class Job:
-    """What every method is given: the frames `indices` of a run, and the settings."""
-
-    run: RunDirectory
-    frames: RunFrames
-    indices: list[int]
-    config: MapConfig
-    checkpoint: Checkpoint
-    prior: NoisePrior | None
-    on_event: OnEvent
-
-
-@dataclass(frozen=True)
-class Made:
-    """What every method returns: the field, T_world_camera by frame index, how sure the poses are if they were
-    tracked, and facts for the manifest."""
-
-    field: NeuralField
-    poses: dict[int, np.ndarray]
-    tracking: TrackingRecord | None
-    facts: dict[str, Any]
+from .uncle.pipeline import choose_device, reconstruct
 
 
 def _vox_fusion(frames: RunFrames, config: MapConfig, device: torch.device) -> OnlineSystem:

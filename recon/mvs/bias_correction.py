@@ -10,11 +10,11 @@ import torch
 from torch import Tensor
 
 from ..core.camera import Camera
-from .photometric_depth import ColorWitness
-from ..core.config.map_config import UncertaintyConfig
+from ..core.config.uncle import UncertaintyConfig
 from ..core.frame import Frame
-from ..methods.uncle.keyframes import RayStore
+from ..methods.uncle.ray_buffer import RayStore
 from .bias_model import CONFIRMED, BiasTrial, SensorBias
+from .photometric_depth import ColorWitness
 
 TRIAL_VIEWS = 40
 

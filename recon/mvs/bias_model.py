@@ -16,10 +16,10 @@ import torch
 from torch import Tensor
 
 from ..core.camera import Camera
-from .plane_sweep import disagreement
-from ..core.config.map_config import UncertaintyConfig
+from ..core.config.uncle import UncertaintyConfig
 from ..sensors.noise_inputs import FEATURES, relative_spread
 from ..sensors.noise_model import PixelNetwork, Residuals
+from .multi_view_consistency import disagreement
 
 UNIT_M = 0.1  # of the network's output
 EDGE = 0.05  # of the depth, its spread around a pixel: windows of colour hold two surfaces there, and find neither

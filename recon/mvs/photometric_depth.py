@@ -14,15 +14,16 @@ import torch
 from torch import Tensor
 
 from ..core.camera import Camera
-from .plane_sweep import FEATURES, MIN_SOURCES, ColorDepth, choose_sources, depth_by_color, disagreement
-from ..core.config.map_config import ColorConfig, UncertaintyConfig
+from ..core.config.uncle import ColorConfig, UncertaintyConfig
 from ..core.events import OnEvent, ignore, track_progress
 from ..core.frame import Frame
-from ..volume.tsdf_surface import MapSurface
-from .cost_volume import GreyView
 from ..run.frames import RunFrames
-from .bias_model import CONFIRMED, REFUTED, SensorBias
 from ..sensors.noise_model import NoiseModel, Residuals
+from ..volume.tsdf_surface import MapSurface
+from .bias_model import CONFIRMED, REFUTED, SensorBias
+from .cost_volume import GreyView
+from .multi_view_consistency import disagreement
+from .plane_sweep import FEATURES, MIN_SOURCES, ColorDepth, choose_sources, depth_by_color
 
 FULL_SIZE_PIXELS = 200_000  # larger images are halved: finer pixels than the map's samples cost time only
 SAMPLES = 4000  # pixels of a view that teach

@@ -19,10 +19,10 @@ from scipy.optimize import minimize
 from scipy.sparse import coo_array, csr_array
 from scipy.spatial import cKDTree
 
-from .photometric_depth import ColorWitness
 from ..sensors.fusion_weights import ReadingWeights
-from .bias_model import SensorBias
 from ..sensors.noise_model import NoiseModel
+from .bias_model import SensorBias
+from .photometric_depth import ColorWitness
 
 PLACE_VOXELS = 0.75  # readings this near to each other are of the same place
 UNTESTED = 1 / 3  # where it cannot be found

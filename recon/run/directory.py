@@ -2,61 +2,17 @@
 
 from __future__ import annotations
 
-import hashlib
 import json
-import platform
 import time
-from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
-from pydantic import BaseModel, ConfigDict, ValidationError
+from pydantic import ValidationError
 
 from ..core.camera import Camera
 from ..core.errors import RunError
 from ..core.files import write_text
-
-SCHEMA_VERSION = 1
-
-
-class FrameRecord(BaseModel):
-    """One frame of the run. `sensors` are those with a readable image; `source_index` counts in the data set."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
-    index: int
-    source_index: int
-    timestamp: float
-    color: str  # file name in frames/color
-    sensors: tuple[str, ...]
-    T_world_camera: list[list[float]] | None = None
-
-
-class StageRecord(BaseModel):
-    """A finished stage: what it was made with, and when."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
-    config_hash: str
-    finished: str
-    seconds: float
-    versions: dict[str, str]
-    facts: dict[str, Any] = {}  # settings and figures of the stage: seed, device, frames/s, peak memory ...
-
-
-class Manifest(BaseModel):
-    """`manifest.json`: what the run is made of."""
-
-    model_config = ConfigDict(extra="forbid")
-    schema_version: int = SCHEMA_VERSION
-    dataset: str
-    dataset_format: str
-    name: str
-    camera: dict[str, float]
-    sensors: tuple[str, ...]
-    has_timestamps: bool
-    reference_mesh: str | None = None
-    registration_sigma_px: float = 0.0  # how far colour may lie beside its depth, by an error that all frames share
-    skipped: dict[str, str] = {}  # "source index[/sensor]" -> reason
-    stages: dict[str, StageRecord] = {}
+from .manifest import SCHEMA_VERSION, Manifest, StageRecord, library_versions
 
 
 class RunDirectory:
@@ -201,19 +157,3 @@ class RunDirectory:
         if record is None:
             raise RunError(f"{self.root} has no finished `{stage}` stage; run `uncle {stage} --run {self.root}` first")
         return record
-
-
-def config_hash(*parts: object) -> str:
-    """Short, stable hash of JSON-like settings."""
-    return hashlib.sha256(json.dumps(parts, sort_keys=True, default=str).encode()).hexdigest()[:16]
-
-
-def library_versions() -> dict[str, str]:
-    """Versions that decide a result."""
-    found = {"python": platform.python_version()}
-    for name in ("uncle", "torch", "open3d", "numpy", "opencv-python-headless"):
-        try:
-            found[name] = version(name)
-        except PackageNotFoundError:
-            continue
-    return found

@@ -16,9 +16,10 @@ from torch import Tensor
 
 from ..core.camera import Camera
 from ..core.errors import RunError
-from ..core.frame import Frame
-from .directory import FrameRecord, RunDirectory
 from ..core.files import BETA_UNITS_PER_M, DEPTH_UNITS_PER_M, read_image
+from ..core.frame import Frame
+from .directory import RunDirectory
+from .manifest import FrameRecord
 
 T = TypeVar("T")
 

@@ -16,7 +16,7 @@ import torch
 from torch import Tensor
 
 from ..core.camera import Camera
-from ..core.config.map_config import HealthConfig
+from ..core.config.uncle import HealthConfig
 from ..core.frame import Frame
 
 Verdict = Literal["ok", "missing", "frozen", "disagrees"]

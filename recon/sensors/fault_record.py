@@ -9,8 +9,8 @@ from itertools import groupby
 from pathlib import Path
 from typing import Any
 
-from .fault_detection import Verdict
 from ..core.files import write_text
+from .fault_detection import Verdict
 
 MIN_FRAMES = 3  # in a row are worth a word; shorter stretches stand in the file alone,
 MIN_SHARE = 0.1  # unless there are many: a slower sensor has nothing new in every other frame

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 from torch import Tensor
 
-from ..core.config.map_config import FusionConfig
+from ..core.config.uncle import FusionConfig
 from ..volume.tsdf_volume import FreeSpace
 
 WEIGHT_SCALE_M = 0.01  # a reading with this beta weighs 1

@@ -13,7 +13,7 @@ from torch import Tensor, nn
 from torch.nn.functional import linear, softplus
 
 from ..core.adam import Adam
-from ..core.config.map_config import UncertaintyConfig
+from ..core.config.uncle import UncertaintyConfig
 from ..core.errors import ConfigError
 from .likelihood import interval_loss, laplace_nll
 from .noise_inputs import FEATURES

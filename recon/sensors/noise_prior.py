@@ -11,11 +11,11 @@ from typing import Any
 
 import torch
 
-from ..run.checkpoint import load_versioned, save_tensors
-from ..core.config.map_config import UncertaintyConfig
+from ..core.config.uncle import UncertaintyConfig
 from ..core.errors import ConfigError, RunError
-from .noise_inputs import FEATURES
+from ..core.tensor_files import load_versioned, save_tensors
 from ..run.directory import RunDirectory
+from .noise_inputs import FEATURES
 from .noise_model import NoiseModel
 
 FORMAT, VERSION = "uncle noise models", 1

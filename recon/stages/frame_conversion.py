@@ -7,11 +7,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..core.errors import FrameError
-from ..core.normals import normals, smooth_depth
-from ..core.frame import Recording
-from ..run.frames import encode_normals
-from ..run.directory import FrameRecord, RunDirectory
 from ..core.files import DEPTH_UNITS_PER_M, encode_metres, write_image
+from ..core.frame import Recording
+from ..core.normals import normals, smooth_depth
+from ..run.directory import RunDirectory
+from ..run.frames import encode_normals
+from ..run.manifest import FrameRecord
 
 MAX_DEPTH_M = 65535 / DEPTH_UNITS_PER_M  # what a 16-bit image of millimetres can hold
 

@@ -11,20 +11,23 @@ from typing import Any
 import numpy as np
 import torch
 
-from ..run.checkpoint import Checkpoint, load_tensors, save_tensors
 from ..core.config.map_config import MapConfig, to_toml
 from ..core.device import choose_device
 from ..core.errors import ConfigError, RunError
 from ..core.events import Note, OnEvent, Warn, ignore
-from ..volume.neural_field import NeuralField
-from ..methods.registry import Job, make_map, trained_parts
-from ..sensors.noise_prior import NoisePrior
-from ..run.frames import RunFrames
-from ..run.directory import Manifest, RunDirectory, config_hash
 from ..core.files import write_text
-from ..tracking import GivenPoses
-from ..run.tracking_record import TrackingRecord
+from ..core.tensor_files import load_tensors, save_tensors
 from ..core.trajectory import Trajectory
+from ..methods.base import Job
+from ..methods.registry import make_map, trained_parts
+from ..run.checkpoint import Checkpoint
+from ..run.directory import RunDirectory
+from ..run.frames import RunFrames
+from ..run.manifest import Manifest, config_hash
+from ..run.tracking_record import TrackingRecord
+from ..sensors.noise_prior import NoisePrior
+from ..tracking.base import GivenPoses
+from ..volume.neural_field import NeuralField
 
 STAGE = "map"
 

@@ -7,10 +7,11 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from ..core.events import OnEvent, ignore
-from .map import load_field
-from ..volume.mesh_extraction import make_mesh
-from ..run.directory import RunDirectory, config_hash
 from ..core.trajectory import Trajectory
+from ..run.directory import RunDirectory
+from ..run.manifest import config_hash
+from ..volume.mesh_extraction import make_mesh
+from .map import load_field
 
 STAGE = "mesh"
 

@@ -17,13 +17,14 @@ from typing import TypeVar
 import cv2
 import numpy as np
 
-from .frame_conversion import FrameConverter, FrameResult
 from ..core.errors import DataError, RunError
 from ..core.events import Note, OnEvent, Warn, ignore, track_progress
-from ..core.frame import Recording
-from ..run.directory import FrameRecord, Manifest, RunDirectory, config_hash
 from ..core.files import explain_write_errors, write_text
+from ..core.frame import Recording
 from ..core.trajectory import Trajectory
+from ..run.directory import RunDirectory
+from ..run.manifest import FrameRecord, Manifest, config_hash
+from .frame_conversion import FrameConverter, FrameResult
 
 STAGE = "preprocess"
 FRAMES_AHEAD = 2  # frames waiting per thread: keeps all of them busy with little memory

@@ -9,17 +9,27 @@ from typing import Any
 
 from ..core.errors import DependencyError, UncleError
 from ..core.events import OnEvent, Progress, Warn, ignore
-from ..visualization.metrics_table import grouped, metric_rows
-from ..evaluation.noise_curves import Readings, collect_readings, noise_of
-from ..run.frames import RunFrames
-from ..visualization.report_camera import camera_section
-from ..visualization.report_charts import calibration_chart, confidence_chart, curves_chart, noise_chart, reliability_chart, reliability_curves
-from ..core.html import Section, embed_picture, explain, heading, missing, page, preformatted, table
-from ..run.directory import Manifest, RunDirectory
-from ..visualization.sensor_pictures import draw_sensors, estimated_sensors
-from ..visualization.mesh_pictures import draw_mesh, load_reference, load_run_mesh, snapshot_views
 from ..core.files import write_text
-from ..evaluation.sensor_summary import standing_of, summarise, summary_table
+from ..core.html import Section, embed_picture, explain, heading, missing, page, preformatted, table
+from ..evaluation.noise_curves import Readings, collect_readings, noise_of
+from ..evaluation.sensor_frames import estimated_sensors
+from ..evaluation.sensor_summary import standing_of, summarise
+from ..run.directory import RunDirectory
+from ..run.frames import RunFrames
+from ..run.manifest import Manifest
+from ..visualization.mesh_pictures import draw_mesh, load_reference, load_run_mesh, snapshot_views
+from ..visualization.metrics_table import grouped, metric_rows
+from ..visualization.report_camera import camera_section
+from ..visualization.report_charts import (
+    calibration_chart,
+    confidence_chart,
+    curves_chart,
+    noise_chart,
+    reliability_chart,
+    reliability_curves,
+)
+from ..visualization.sensor_pictures import draw_sensors
+from ..visualization.uncertainty_table import summary_table
 
 _SUMMARY = (  # order of the metrics
     "surface", "trajectory", "tracking", "held_out", "held_out_color", "uncertainty", "skipped", "notes", "settings",

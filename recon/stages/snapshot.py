@@ -8,8 +8,8 @@ from pathlib import Path
 from ..core.events import OnEvent, Warn, ignore
 from ..core.mesh import Mesh
 from ..run.directory import RunDirectory
-from ..visualization.sensor_pictures import draw_sensors
 from ..visualization.mesh_pictures import draw_mesh, load_reference, load_run_mesh, snapshot_views
+from ..visualization.sensor_pictures import draw_sensors
 from ..visualization.views import DEFAULT_SIZE
 
 

@@ -8,15 +8,17 @@ from pathlib import Path
 
 from ..core.errors import ConfigError, DataError
 from ..core.events import OnEvent, Warn, ignore
+from ..core.files import write_bytes
+from ..core.frame import GROUND_TRUTH_SENSOR
+from ..core.json_values import to_plain
 from ..evaluation.noise_curves import collect_readings, noise_of
+from ..evaluation.run_metrics import score_uncertainty
+from ..evaluation.sensor_frames import estimated_sensors
+from ..evaluation.sensor_summary import SensorUncertainty, standing_of, summarise
+from ..run.directory import RunDirectory
 from ..run.frames import RunFrames
 from ..visualization.report_charts import calibration_chart, noise_chart, reliability_chart
-from ..run.directory import RunDirectory
-from ..evaluation.run_metrics import score_uncertainty, to_plain
-from ..visualization.sensor_pictures import draw_sensors, estimated_sensors
-from ..core.files import write_bytes
-from ..evaluation.sensor_summary import SensorUncertainty, standing_of, summarise
-from ..evaluation.visibility import GROUND_TRUTH_SENSOR
+from ..visualization.sensor_pictures import draw_sensors
 
 
 @dataclass(frozen=True)

@@ -12,12 +12,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..volume.tsdf_volume import FusionVolume
 from ..core.se3 import motion_between
-from .pose_estimation import Term, is_weak, minimise, prior_term
+from ..volume.tsdf_volume import FusionVolume
 from .frame_observations import rule_of_thumb
-from .frame_to_model import SHARE, Readings, agreement, distances, scaled, surface_term
 from .frame_to_frame import SurfaceView, view_term
+from .frame_to_model import SHARE, Readings, agreement, distances, scaled, surface_term
+from .pose_estimation import Term, is_weak, minimise, prior_term
 
 MIN_KNOWN, MIN_ON_SURFACE = 0.55, 0.6  # shares of the readings: below, the surface does not confirm a pose
 SURE_KNOWN, SURE_ON_SURFACE = 0.7, 0.85  # of a pose that nothing led to

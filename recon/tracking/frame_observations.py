@@ -12,13 +12,13 @@ import torch
 from torch import Tensor
 
 from ..core.camera import Camera
-from ..core.config.map_config import TrackingConfig
+from ..core.config.uncle import TrackingConfig
 from ..core.frame import Frame
 from ..sensors.noise_model import NoiseModel
+from .frame_to_frame import SurfaceView
+from .frame_to_model import Readings
 from .landmarks import NONE, Sighting
 from .local_features import LocalFeatures, extract_features, no_features
-from .frame_to_model import Readings
-from .frame_to_frame import SurfaceView
 
 EDGE_SHARE = 0.5  # of the spread of depth around a feature that adds to its sigma
 UNTAUGHT = (0.005, 0.01)  # beta before a sensor is known: a + b depth^2, metres; between a Kinect and a stereo matcher

@@ -6,9 +6,9 @@ from typing import Any
 
 import torch
 
+from .frame_to_frame import SurfaceView
 from .keyframe_graph import KeyframeGraph
 from .landmarks import Sighting
-from .frame_to_frame import SurfaceView
 
 
 def to_state(graph: KeyframeGraph) -> dict[str, Any]:

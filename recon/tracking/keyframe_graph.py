@@ -5,14 +5,14 @@ from __future__ import annotations
 import numpy as np
 
 from ..core.camera import Camera
+from ..core.se3 import angle, exceeds, inverse, transform
 from .bundle_adjustment import Observations, adjust, covariances, without_outliers
+from .frame_to_frame import SurfaceView, align_views
 from .landmarks import NONE, Landmarks, Sighting, observations_of, seen_at_least
 from .local_features import back_projected
 from .loop_closure import Place, corrected_poses, recognise
-from ..core.se3 import angle, exceeds, inverse, transform
 from .outlier_poses import placed_again
 from .pose_graph_edges import Measured, edges_among
-from .frame_to_frame import SurfaceView, align_views
 
 LOCAL_KEYFRAMES = 8
 NEIGHBOURS = 3  # keyframes before one whose surfaces it is aligned with

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..core.camera import Camera
+from ..core.se3 import inverse
 from .landmarks import Landmarks, Sighting
 from .local_features import match
-from ..core.se3 import inverse
 from .pose_estimation import feature_term, minimise, ransac_pose
 
 MIN_MATCHES = 25

@@ -11,8 +11,8 @@ from dataclasses import replace
 import numpy as np
 
 from ..core.camera import Camera
-from .bundle_adjustment import Observations, adjust, residuals, robust_weights, without_outliers
 from ..core.se3 import motion_between, moved
+from .bundle_adjustment import Observations, adjust, residuals, robust_weights, without_outliers
 
 AROUND = ((-1, 1), (-2, 2), (-2, -1), (1, 2))  # pairs of neighbours that tell where a frame between or beside them is
 NEAR = 3  # frames: neighbours that are further away tell nothing

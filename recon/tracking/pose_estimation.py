@@ -9,8 +9,8 @@ import cv2
 import numpy as np
 
 from ..core.camera import Camera
-from .bundle_adjustment import Observations, residuals, robust_weights
 from ..core.se3 import inverse, motion_between, moved
+from .bundle_adjustment import Observations, residuals, robust_weights
 
 MIN_INLIERS = 12
 _REPROJECTION_PX = 4.0

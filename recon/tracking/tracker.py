@@ -12,21 +12,21 @@ import numpy as np
 import torch
 
 from ..core.camera import Camera
-from ..core.config.map_config import TrackingConfig
+from ..core.config.uncle import TrackingConfig
 from ..core.frame import Frame
-from ..volume.tsdf_volume import FusionVolume
+from ..core.se3 import angle, exceeds, inverse, motion_between, moved, transform
 from ..run.tracking_record import Status, TrackedFrame, TrackingRecord
 from ..sensors.noise_model import NoiseModel
+from ..volume.tsdf_volume import FusionVolume
 from . import graph_state
+from .depth_only import Held, expectation, followed, found_again, on_surface
+from .frame_observations import Prepared, prepare, readings_of, sight, surface_view, weigh
+from .frame_to_frame import SurfaceView
+from .frame_to_model import Readings, scaled, surface_term
 from .keyframe_graph import KeyframeGraph
 from .landmarks import Sighting
 from .local_features import match, match_near, near_projections, project
-from ..core.se3 import angle, exceeds, inverse, motion_between, moved, transform
 from .pose_estimation import MIN_INLIERS, covariance_of, feature_term, is_weak, minimise, ransac_pose
-from .frame_observations import Prepared, prepare, readings_of, sight, surface_view, weigh
-from .frame_to_model import Readings, scaled, surface_term
-from .depth_only import Held, expectation, followed, found_again, on_surface
-from .frame_to_frame import SurfaceView
 
 SEARCH_PX = 10.0  # around where a landmark is expected
 AGREES = 4.0  # sigmas

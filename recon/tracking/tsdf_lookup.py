@@ -9,8 +9,8 @@ import torch
 from numba import njit
 from torch import Tensor
 
-from ..volume.tsdf_volume import MIN_SIGMA_M, SHARED_ERROR, FusionVolume
 from ..volume.sparse_grid import CORNERS, row_of
+from ..volume.tsdf_volume import MIN_SIGMA_M, SHARED_ERROR, FusionVolume
 
 _COLUMNS = 9  # of what the compiled loop finds: sdf, gradient, sigma, grey, its gradient
 

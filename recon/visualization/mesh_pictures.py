@@ -8,17 +8,18 @@ from pathlib import Path
 
 import numpy as np
 
-from . import offscreen, raycast_renderer as raycast_view
-from .charts import ColorScale, picture_sheet
 from ..core.errors import ConfigError, DataError, DependencyError, RunError
 from ..core.events import Note, OnEvent, Warn, ignore
-from ..core.mesh import Mesh
-from .raycast_renderer import Pictures
-from ..run.frames import RunFrames
-from ..run.directory import RunDirectory
-from .shading import Geometry, Layer
 from ..core.files import write_bytes, write_image
+from ..core.mesh import Mesh
 from ..core.trajectory import Trajectory
+from ..run.directory import RunDirectory
+from ..run.frames import RunFrames
+from . import offscreen
+from . import raycast_renderer as raycast_view
+from .charts import ColorScale, picture_sheet
+from .raycast_renderer import Pictures
+from .shading import Geometry, Layer
 from .views import DEFAULT_SIZE, View, finite_poses, mesh_views, run_views
 
 MODES = ("shaded", "color", "confidence", "error")

@@ -21,9 +21,9 @@ import numpy as np
 from ..core.camera import Camera
 from ..core.errors import DependencyError
 from ..core.events import OnEvent, ignore, track_progress
+from ..core.files import read_image, write_image
 from .raycast_renderer import Pictures
 from .shading import SUPERSAMPLING, Geometry, Layer, average_down, light_triangles
-from ..core.files import read_image, write_image
 from .views import View
 
 INSTALL_HINT = "sudo apt-get install -y libvulkan1 mesa-vulkan-drivers"

@@ -8,8 +8,8 @@ import numpy as np
 
 from ..core.events import OnEvent, ignore, track_progress
 from ..core.mesh import Mesh
-from .shading import BACKGROUND, SUPERSAMPLING, Geometry, Layer, LitTriangles, average_down, light_triangles
 from ..core.mesh_raycaster import Surface
+from .shading import BACKGROUND, SUPERSAMPLING, Geometry, Layer, LitTriangles, average_down, light_triangles
 from .views import View
 
 Pictures = dict[str, list[np.ndarray]]  # layer name -> one (H, W, 3) uint8 picture per view

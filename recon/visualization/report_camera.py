@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from ..evaluation.trajectory_pair import CameraPath
 from ..core.errors import DataError
 from ..core.html import embed_picture, explain, missing, table
-from ..run.directory import RunDirectory
 from ..evaluation.run_trajectory import score_tracking, score_trajectory
 from ..evaluation.tracking_metrics import describe_lost
+from ..evaluation.trajectory_pair import CameraPath
+from ..run.directory import RunDirectory
 from .trajectory_charts import draw_camera_path
 from .trajectory_table import Rows, tracking_rows, trajectory_rows
 

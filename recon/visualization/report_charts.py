@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from .charts import Line, draw_lines, encode_figure, new_figure
 from ..evaluation.noise_curves import NoiseCurve, SensorNoise
+from .charts import Line, draw_lines, encode_figure, new_figure
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

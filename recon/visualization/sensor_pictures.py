@@ -8,25 +8,15 @@ from pathlib import Path
 
 import numpy as np
 
-from .charts import ColorScale, encode_figure, new_figure, plain, show_picture
 from ..core.errors import DataError
 from ..core.events import OnEvent, Warn, ignore
-from ..run.frames import RunFrames
-from ..run.directory import RunDirectory
 from ..core.files import write_bytes
-from ..evaluation.visibility import GROUND_TRUTH_SENSOR
+from ..evaluation.sensor_frames import SensorFrame, estimated_sensors, read_sensor_frame, spread_frames
+from ..run.directory import RunDirectory
+from ..run.frames import RunFrames
+from .charts import ColorScale, encode_figure, new_figure, plain, show_picture
 
 _ROWS = 3
-
-
-@dataclass(frozen=True)
-class SensorFrame:
-    """One sensor in one frame; NaN = no reading. depth, beta, error (H, W) metres; beta and error None if unknown."""
-
-    index: int
-    depth: np.ndarray
-    beta: np.ndarray | None
-    error: np.ndarray | None
 
 
 @dataclass(frozen=True)
@@ -35,29 +25,6 @@ class SensorScales:
 
     depth: ColorScale
     error: ColorScale
-
-
-def estimated_sensors(frames: RunFrames) -> list[str]:
-    """The sensors of a run without the true depth."""
-    return [sensor for sensor in frames.sensors if sensor != GROUND_TRUTH_SENSOR]
-
-
-def read_sensor_frame(frames: RunFrames, index: int, sensor: str) -> SensorFrame:
-    """Depth, beta and true error of one sensor in one frame. Raises DataError."""
-    depth = _readings(frames.depth(index, sensor).numpy())
-    has_beta = frames.run.beta_path(sensor, index).is_file()
-    beta = _readings(frames.beta(index, sensor).numpy()) if has_beta else None
-    has_truth = GROUND_TRUTH_SENSOR in frames.records[index].sensors and sensor != GROUND_TRUTH_SENSOR
-    error = np.abs(depth - _readings(frames.depth(index, GROUND_TRUTH_SENSOR).numpy())) if has_truth else None
-    return SensorFrame(index, depth, beta, error)
-
-
-def spread_frames(frames: RunFrames, sensor: str, count: int) -> list[int]:
-    """Up to `count` frames with an image of `sensor`, evenly spread; those with a beta map where there are any."""
-    seen = [record.index for record in frames.records if sensor in record.sensors]
-    with_beta = [index for index in seen if frames.run.beta_path(sensor, index).is_file()]
-    usable = with_beta or seen
-    return [usable[round(p)] for p in np.linspace(0, len(usable) - 1, min(count, len(usable)))] if usable else []
 
 
 def draw_sensors(
@@ -142,10 +109,6 @@ def _panel(row: SensorFrame, column: str, scales: SensorScales) -> np.ndarray:
 def _painted(values: np.ndarray | None, scale: ColorScale, like: np.ndarray | None = None) -> np.ndarray:
     known = values if values is not None else np.full(like.shape, np.nan)
     return np.where(np.isfinite(known)[..., None], scale.paint(known), np.uint8(235))
-
-
-def _readings(values: np.ndarray) -> np.ndarray:
-    return np.where(values > 0, values, np.nan)
 
 
 def _percentile(images: list[np.ndarray | None], share: float) -> float:

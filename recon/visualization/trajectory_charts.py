@@ -7,10 +7,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ..evaluation.trajectory_pair import CameraPath, finite_poses
-from .charts import Line, draw_lines, encode_figure, new_figure
 from ..core.files import write_bytes
 from ..evaluation.tracking_metrics import pose_covariances, record_rows, stated_sigmas
+from ..evaluation.trajectory_pair import CameraPath, finite_poses
+from .charts import Line, draw_lines, encode_figure, new_figure
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import TYPE_CHECKING
+
+from ..evaluation.sensor_summary import SensorUncertainty
 
 if TYPE_CHECKING:
     from ..evaluation.uncertainty_calibration import UncertaintyMetrics
@@ -54,3 +57,27 @@ def _cm(metres: float) -> str:
 
 def _percent(ratio: float | None) -> str:
     return "-" if ratio is None else f"{ratio * 100:.2f}"
+
+
+def summary_table(sensors: Mapping[str, SensorUncertainty]) -> tuple[list[str], list[list[str]]]:
+    """Header and rows of text for people: a column for each sensor, in % and cm; "-" where a sensor has no figure."""
+    columns = {sensor: {(name, unit): value for name, value, unit in _figures(s)} for sensor, s in sensors.items()}
+    figures = dict.fromkeys(figure for column in columns.values() for figure in column)
+    rows = [[name, *(column.get((name, unit), "-") for column in columns.values()), unit] for name, unit in figures]
+    return ["Figure", *columns, "Unit"], rows
+
+
+def _figures(sensor: SensorUncertainty) -> list[tuple[str, str, str]]:
+    share = "-" if sensor.map_share is None else f"{sensor.map_share * 100:.1f}"
+    rows = [
+        ("share in the map", share, "%"),
+        *([] if sensor.reading_worth is None else [("worth of a reading", f"{sensor.reading_worth:.2f}", "")]),
+        ("beta, median", _cm(sensor.median_beta_m), "cm"),
+        ("beta of the middle 80 % of readings", f"{_cm(sensor.low_beta_m)} to {_cm(sensor.high_beta_m)}", "cm"),
+        *((f"beta at {distance} m", _cm(beta), "cm") for distance, beta in sensor.beta_at_m.items()),
+    ]
+    return rows + (uncertainty_rows(sensor.scores) if sensor.scores is not None else [])
+
+
+def _cm(metres: float | None) -> str:
+    return "-" if metres is None else f"{metres * 100:.2f}"

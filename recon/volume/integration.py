@@ -14,8 +14,8 @@ from numba import njit
 from torch import Tensor
 
 from ..core.camera import Camera
-from .sparse_grid import BLOCK, ROWS
 from ..core.threads import share_out
+from .sparse_grid import BLOCK, ROWS
 
 MIN_Z_M = 0.05
 _BLOCKS_AT_A_TIME = 2048

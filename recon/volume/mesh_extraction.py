@@ -12,11 +12,11 @@ from scipy.sparse.csgraph import connected_components
 from ..core.camera import Camera
 from ..core.errors import DataError
 from ..core.events import OnEvent, ignore, track_progress
-from .neural_field import ACTIVE_VOXELS, NeuralField
-from .sparse_grid import ROWS, SparseGrid
-from .marching_cubes import extract_isosurface
 from ..core.mesh import Mesh
 from ..core.mesh_raycaster import Surface
+from .marching_cubes import extract_isosurface
+from .neural_field import ACTIVE_VOXELS, NeuralField
+from .sparse_grid import ROWS, SparseGrid
 
 MIN_COMPONENT_M2 = 0.02  # a loose piece smaller than this is a floater
 MAX_VIEWS = 150  # cameras asked what they see; more add nothing but time

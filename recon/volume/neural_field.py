@@ -13,10 +13,10 @@ from typing import Any
 import torch
 from torch import Tensor, nn
 
-from ..core.config.map_config import FieldConfig
-from .tsdf_volume import FusionVolume
-from .sparse_grid import ROWS, SparseGrid, unique_blocks
+from ..core.config.uncle import FieldConfig
 from .interpolation import weighted_rows
+from .sparse_grid import ROWS, SparseGrid, unique_blocks
+from .tsdf_volume import FusionVolume
 
 ACTIVE_VOXELS = 3.0  # samples this close to the surface can be moved
 NO_WEIGHT = 1e-4  # a corner that weighs less need not be known: vertices lie on the edges of cells, also of the last

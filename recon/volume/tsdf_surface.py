@@ -9,8 +9,8 @@ import torch
 from torch import Tensor
 
 from ..core.camera import Camera
-from .sparse_grid import SparseGrid
 from .raycast import cast_rays
+from .sparse_grid import SparseGrid
 
 
 @dataclass(frozen=True)

@@ -13,8 +13,8 @@ from torch import Tensor
 from torch.nn.functional import max_pool2d
 
 from ..core.camera import Camera
-from .sparse_grid import BLOCK, ROWS, SparseGrid
 from .integration import MIN_Z_M, Bounds, Observation, integrate
+from .sparse_grid import BLOCK, ROWS, SparseGrid
 
 _TILE = 16  # pixels: occlusion is decided on tiles
 _SPARE = 1.5

@@ -8,8 +8,8 @@ import pytest
 from click.testing import CliRunner
 from uncle.cli.main import main
 from uncle.datasets.synth.write import make_dataset
-from uncle.recon.evaluation.bench import paper, process
 from uncle.recon.core.errors import RunError
+from uncle.recon.evaluation.bench import paper, process
 
 
 def bench(*arguments):

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from click.testing import CliRunner, Result
 from uncle.cli.main import main
-from uncle.recon.methods.registry import map_output
 from uncle.recon.core import files as storage
 from uncle.recon.core.mesh import Mesh
+from uncle.recon.methods.registry import map_output
 from uncle.recon.run.directory.directory import RunDirectory
 
 QUICK = [

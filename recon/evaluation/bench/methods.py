@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from ...core.config.map_config import PRESETS
+from ...core.config.presets import PRESETS
 
 BASELINE = "tsdf"  # every time is also given as a multiple of its time
 UNWEIGHTED = "nice-slam"  # the paper's system with unit weights: what its uncertainty is tested against

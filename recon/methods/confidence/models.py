@@ -11,8 +11,8 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from ...run.checkpoint import load_versioned, save_tensors
 from ...core.errors import ConfigError
+from ...core.tensor_files import load_versioned, save_tensors
 from .network import ConfidenceNetwork, confidence_image
 
 FORMAT, VERSION = "uncle confidence network", 1

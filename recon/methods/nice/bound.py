@@ -9,9 +9,9 @@ import torch
 from torch import Tensor
 
 from ...core.camera import Camera
+from ...core.config.nice import NiceConfig
 from ...core.errors import ConfigError, DataError
 from ...run.frames import RunFrames
-from ...core.config.nice import NiceConfig
 
 VIEWS = 100  # asked at most
 STRIDE = 8  # pixels

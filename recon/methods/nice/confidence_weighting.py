@@ -5,11 +5,11 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from ...core.frame import Frame
 from ...core.config.nice import NiceConfig, NiceTrackingConfig
+from ...core.frame import Frame
+from ..confidence.models import ConfidenceModels
 from .views import Rays
 from .weighting import Normals, Uniform
-from ..confidence.models import ConfidenceModels
 
 LEAST = 1e-3  # keeps the denominator of a reading that is not trusted at all finite
 

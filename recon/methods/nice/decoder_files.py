@@ -10,8 +10,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from ...run.checkpoint import save_tensors
 from ...core.errors import ConfigError
+from ...core.tensor_files import save_tensors
 from .decoders import LAYERS, Decoder, OccupancyDecoders, fine_decoder, middle_decoder
 
 FORMAT = "uncle occupancy decoders, version 1"

@@ -10,8 +10,8 @@ from torch import Tensor, nn
 from torch.nn.functional import softplus
 
 from ...core import normals as features
-from . import published_normals as features_reference
 from ...core.camera import Camera
+from . import published_normals as features_reference
 
 PATCH = 5  # pixels
 HIDDEN = 32

@@ -8,13 +8,15 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from ...core.camera import Camera
 from ...core.config.map_config import MapConfig
 from ...core.events import OnEvent, track_progress
-from ...volume.neural_field import NeuralField
 from ...core.frame import Frame
-from ...volume.sparse_grid import SparseGrid
-from ..online import Found, Poses
 from ...run.frames import RunFrames
+from ...volume.neural_field import NeuralField
+from ...volume.sparse_grid import SparseGrid
+from ..confidence.models import ConfidenceModels
+from ..online import Found, Poses
 from .bound import around, bound_of, points_of, set_bound
 from .fast import FastEvaluate
 from .mapper import Keyframe, NiceMapper
@@ -23,7 +25,7 @@ from .scene import Scene
 from .surface import Seen, field_of
 from .tracker import NiceTracker
 from .views import View
-from .weighting import Weighting, choose_weighting
+from .weighting import Laplace, Uniform, Weighting
 
 MAX_VIEWS = 150  # asked which samples they see
 
@@ -144,3 +146,16 @@ class NiceSystem:
             self._open(bound)
         elif not self.config.nice.bound:
             self.scene.grow(bound, self.generator)
+
+
+def choose_weighting(config: Any, sensors: tuple[str, ...], camera: Camera, generator: torch.Generator,
+                     device: torch.device) -> Weighting:  # fmt: skip
+    """The weighting that `config` (a `MapConfig`) asks for. Raises ConfigError."""
+    if config.nice.weighting == "laplace":
+        return Laplace(config.nice, sensors, camera, generator, device)
+    if config.nice.weighting == "confidence":
+        from .confidence_weighting import Confident  # which is made of `Uniform`
+
+        models = ConfidenceModels.load(sensors, config.confidence.files, device)
+        return Confident(config.nice, config.nice_tracking, models, device)
+    return Uniform(config.nice, config.nice_tracking)

@@ -7,15 +7,14 @@ sensors, `valid` (N, K) whether there is a reading and the ray takes part.
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any, Protocol
+from typing import Protocol
 
 import torch
 from torch import Tensor, nn
 
 from ...core.camera import Camera
-from ..confidence.models import ConfidenceModels
-from ...core.frame import Frame
 from ...core.config.nice import NiceConfig, NiceTrackingConfig
+from ...core.frame import Frame
 from .noise import COLOR_INPUTS, PATCH, NoiseNet, noise_images
 from .scene import Stage
 from .views import Rays
@@ -171,16 +170,3 @@ class Laplace:
 
     def _color_beta(self, rays: Rays) -> Tensor:
         return self.config.beta_min_m + self.color_net(rays.color_patches)
-
-
-def choose_weighting(config: Any, sensors: tuple[str, ...], camera: Camera, generator: torch.Generator,
-                     device: torch.device) -> Weighting:  # fmt: skip
-    """The weighting that `config` (a `MapConfig`) asks for. Raises ConfigError."""
-    if config.nice.weighting == "laplace":
-        return Laplace(config.nice, sensors, camera, generator, device)
-    if config.nice.weighting == "confidence":
-        from .confidence_weighting import Confident  # which is made of `Uniform`
-
-        models = ConfidenceModels.load(sensors, config.confidence.files, device)
-        return Confident(config.nice, config.nice_tracking, models, device)
-    return Uniform(config.nice, config.nice_tracking)

@@ -13,10 +13,10 @@ import torch
 from torch import Tensor
 from torch.nn.functional import avg_pool2d, conv2d
 
-from ..confidence.network import SMALLEST_SIDE, ConfidenceNetwork
 from ...core.errors import ConfigError, DataError
 from ...core.events import OnEvent, Progress, ignore
 from ...core.files import DEPTH_UNITS_PER_M
+from ..confidence.network import SMALLEST_SIDE, ConfidenceNetwork
 from .depth_pairs import DepthPairs
 
 NEAREST_M, FARTHEST_M = 0.05, 12.3  # true depths that count

@@ -12,9 +12,9 @@ from typing import Any
 
 import torch
 
-from ...run.checkpoint import Checkpoint
 from ...core.errors import ConfigError
 from ...core.events import Note, OnEvent, Progress, ignore
+from ...run.checkpoint import Checkpoint
 from ..nice.decoder_files import save_decoders
 from ..nice.decoders import OccupancyDecoders
 from .decoder_scores import decoder_scores

@@ -14,8 +14,8 @@ import torch
 from ...core.camera import Camera
 from ...core.errors import ConfigError, DataError
 from ...core.events import OnEvent, ignore, track_progress
-from ...core.mesh import Mesh
 from ...core.files import DEPTH_UNITS_PER_M, atomic_path, encode_metres
+from ...core.mesh import Mesh
 from .depth_pairs import TRUTH, load_arrays, packed, spread, unpacked
 from .true_distance import TrueDistance
 

@@ -9,10 +9,10 @@ from torch import Tensor
 from ...core.config.map_config import MapConfig
 from ...core.errors import ConfigError
 from ...core.events import OnEvent, Progress, Warn, ignore, track_progress
-from ...volume.neural_field import NeuralField
 from ...core.frame import Frame
-from ...volume.sparse_grid import SparseGrid, unique_blocks
 from ...run.frames import RunFrames
+from ...volume.neural_field import NeuralField
+from ...volume.sparse_grid import SparseGrid, unique_blocks
 from .blending import believed, fused_distance, weighting_inputs
 from .bricks import brick_samples, inner_part
 from .models import SenfunetModel

@@ -10,8 +10,8 @@ from typing import Any
 import torch
 from torch import Tensor, nn
 
-from ...run.checkpoint import load_versioned, save_tensors
 from ...core.errors import ConfigError
+from ...core.tensor_files import load_versioned, save_tensors
 from .network import FeatureNetwork, WeightingNetwork
 
 FORMAT, VERSION = "uncle senfunet", 1

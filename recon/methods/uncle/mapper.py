@@ -9,22 +9,23 @@ import torch
 from torch import Tensor
 
 from ...core.camera import Camera
-from ...mvs.photometric_depth import ColorWitness
 from ...core.config.map_config import MapConfig
 from ...core.frame import Frame
+from ...mvs.bias_correction import SensorBiases
+from ...mvs.photometric_depth import ColorWitness
+from ...mvs.sensor_reliability import UNTESTED, statements, worth_of_readings
+from ...sensors.fault_detection import SensorHealth
+from ...sensors.fusion_weights import ReadingWeights
+from ...sensors.intervals import state_intervals
+from ...sensors.noise_inputs import noise_features
+from ...sensors.noise_model import NoiseModel, Residuals
+from ...volume.sparse_grid import SparseGrid
+from ...volume.tsdf_surface import MapSurface
 from ...volume.tsdf_volume import FusionVolume
 from .fusion_log import FusionLog
-from ...volume.sparse_grid import SparseGrid
-from .keyframes import KeyframeSelector, RayStore
-from ...volume.tsdf_surface import MapSurface
-from ...sensors.noise_inputs import noise_features
+from .keyframes import KeyframeSelector
 from .ray_batch import RayReadings
-from ...sensors.fusion_weights import ReadingWeights
-from ...mvs.sensor_reliability import UNTESTED, statements, worth_of_readings
-from ...mvs.bias_correction import SensorBiases
-from ...sensors.fault_detection import SensorHealth
-from ...sensors.intervals import state_intervals
-from ...sensors.noise_model import NoiseModel, Residuals
+from .ray_buffer import RayStore
 
 _MAX_SELF_SHARE = 0.9  # readings that make up more of the map than this say nothing about themselves
 

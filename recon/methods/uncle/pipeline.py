@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
@@ -11,26 +11,24 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from ...run.checkpoint import Checkpoint
-from ...mvs.photometric_depth import MAX_REGISTRATION_PX
 from ...core.config.map_config import MapConfig
 from ...core.device import choose_device
 from ...core.errors import DataError
 from ...core.events import Note, OnEvent, Progress, ignore
-from ...volume.neural_field import NeuralField
 from ...core.frame import Frame
-from .mapper import Mapper
-from ...sensors.noise_prior import NoisePrior
-from .progress import Progression
-from ...run.frames import RunFrames
-from ...refined_field import refined_field
 from ...mvs.bias_correction import TRIAL_VIEWS
-from ...tracking import GivenPoses, Tracker, require_found
-from ...tracking.tracker import AlignTracker
+from ...mvs.photometric_depth import MAX_REGISTRATION_PX
+from ...run.checkpoint import Checkpoint
+from ...run.frames import RunFrames
 from ...run.tracking_record import TrackingRecord
-
-# (frame index, sensor, beta (H, W) metres): called once for every mapped frame with the final noise models
-OnBeta = Callable[[int, str, Tensor], None]
+from ...sensors.noise_prior import NoisePrior
+from ...tracking.base import Tracker, require_found
+from ...tracking.factory import choose_tracker
+from ...volume.neural_field import NeuralField
+from ..base import OnBeta
+from .mapper import Mapper
+from .progress import Progression
+from .refined_field import refined_field
 
 
 @dataclass(frozen=True)
@@ -106,15 +104,6 @@ def reconstruct(
     return Reconstruction(
         mapper, result, poses, {**progress.losses, "refinement": losses}, progress.seconds, tracker.record()
     )
-
-
-def choose_tracker(frames: RunFrames, config: MapConfig, mapper: Mapper | None) -> Tracker:
-    """The tracker that `config` asks for; one without `mapper` has no map to look at."""
-    if not config.tracking.enabled:
-        return GivenPoses()
-    noise = [mapper.noise[s] if mapper else None for s in frames.sensors]
-    volume = mapper.volume if mapper else None
-    return AlignTracker(frames.camera, config.tracking, config.seed, noise, volume, frames.registration_sigma_px)
 
 
 def _explore(view: View, frames: RunFrames, mapper: Mapper, tracker: Tracker, progress: Progression) -> None:

@@ -9,8 +9,8 @@ import torch
 from torch import Tensor
 
 from ...mvs.photometric_depth import ColorWitness
-from .keyframes import RayStore
 from ...sensors.noise_model import START_BETA_M, NoiseModel
+from .ray_buffer import RayStore
 
 
 @dataclass(frozen=True)

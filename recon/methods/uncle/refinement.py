@@ -10,13 +10,13 @@ import torch
 from torch import Tensor
 
 from ...core.adam import Adam
-from ...core.config.map_config import FieldConfig
+from ...core.config.uncle import FieldConfig
 from ...core.events import OnEvent, ignore, track_progress
-from ...volume.neural_field import NeuralField
 from ...sensors.likelihood import laplace_nll
-from .ray_batch import RayReadings
+from ...volume.neural_field import NeuralField
 from ...volume.raycast import cast_rays
 from ...volume.rendering import render_depth, render_values, sdf_weights
+from .ray_batch import RayReadings
 
 SPAN_VOXELS = 2.5  # samples reach this far before and behind the present surface
 SHARPNESS_VOXELS = 0.4  # the bell must end within the span, or the rendered depth follows the surface only in part

@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 
 from ...core.camera import Camera
-from ...core.config.map_config import FieldConfig
+from ...core.config.uncle import FieldConfig
 from ...core.events import OnEvent, ignore, track_progress
 from ...volume.neural_field import ACTIVE_VOXELS, NeuralField
 from ...volume.sparse_grid import ROWS, SparseGrid

@@ -9,12 +9,12 @@ import torch
 from torch import Tensor
 
 from ...core.config.map_config import MapConfig
-from ...core.events import OnEvent, track_progress
-from ...volume.neural_field import NeuralField
-from ...core.frame import Frame
-from ..online import Found, Poses
-from ...run.frames import RunFrames
 from ...core.config.vox import VoxConfig
+from ...core.events import OnEvent, track_progress
+from ...core.frame import Frame
+from ...run.frames import RunFrames
+from ...volume.neural_field import NeuralField
+from ..online import Found, Poses
 from .mapping import VoxMapper
 from .model import VoxModel
 from .surface import MAX_VIEWS, SampledSurface

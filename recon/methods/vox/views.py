@@ -10,8 +10,8 @@ import torch
 from torch import Tensor
 
 from ...core.camera import Camera
-from ...core.frame import Frame
 from ...core.config.vox import VoxConfig
+from ...core.frame import Frame
 from .losses import Targets
 
 

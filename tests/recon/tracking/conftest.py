@@ -7,10 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 from uncle.recon.core.camera import Camera
+from uncle.recon.core.se3 import inverse, moved, transform
 from uncle.recon.tracking.bundle_adjustment import Observations
 from uncle.recon.tracking.keyframe_graph import KeyframeGraph
 from uncle.recon.tracking.landmarks import Sighting
-from uncle.recon.core.se3 import inverse, moved, transform
 
 CAMERA = Camera(320, 240, 200.0, 210.0, 160.0, 118.0)
 

@@ -5,9 +5,19 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from scipy.optimize import least_squares
-from uncle.recon.tracking.bundle_adjustment import DEPTH_SCALE, PIXEL_SCALE, Observations, adjust, covariances, residuals, robust_weights, share_of_readings, without_outliers
-from uncle.recon.tracking.landmarks import share_of_pixels
 from uncle.recon.core.se3 import angle, inverse, moved
+from uncle.recon.tracking.bundle_adjustment import (
+    DEPTH_SCALE,
+    PIXEL_SCALE,
+    Observations,
+    adjust,
+    covariances,
+    residuals,
+    robust_weights,
+    share_of_readings,
+    without_outliers,
+)
+from uncle.recon.tracking.landmarks import share_of_pixels
 from uncle.recon.tracking.pose_graph_edges import PoseEdges
 
 STEP = 1e-6

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
+from uncle.recon.core.se3 import moved
 from uncle.recon.tracking import keyframe_graph
 from uncle.recon.tracking.keyframe_graph import KeyframeGraph
-from uncle.recon.core.se3 import moved
 
 KEYFRAMES = (0, 4, 8)
 

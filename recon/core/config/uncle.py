@@ -1,0 +1,135 @@
+"""Settings of the default method, `uncle`."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+from pydantic import Field
+
+from .base import Strict
+
+
+class FusionConfig(Strict):
+    """Closed-form fusion of depth images."""
+
+    voxel_size_m: float = Field(0.02, gt=0.001, le=0.5, description="Distance between the samples of the map, metres.")
+    truncation_voxels: float = Field(
+        4.0, ge=2.0, le=16.0, description="Distances are cut off at this many voxels before and behind a reading."
+    )
+    max_depth_m: float = Field(6.0, gt=0.1, le=1000.0, description="Readings farther than this take no part, metres.")
+    blur_voxels: float = Field(
+        0.5, ge=0, description="What the grid itself cannot resolve, added to beta in the weights."
+    )
+    min_readings: float = Field(3.0, ge=1.0, description="A sample seen less often is not part of the surface.")
+    sweeps: int = Field(
+        1,
+        ge=0,
+        description="Fusions of all frames after the first one, each with what was learned before (see `color.looks`).",
+    )
+
+
+class UncertaintyConfig(Strict):
+    """The network h_w of each sensor: from its image to the scale beta of the error of each reading."""
+
+    enabled: bool = Field(True, description="Learn how noisy each sensor is; false: every reading weighs the same.")
+    hidden: int = Field(16, ge=4, description="Width of the two hidden layers.")
+    features: tuple[str, ...] = Field(
+        (), description='Inputs that the network sees, for ablations, such as ["depth", "incidence"]; empty: all.'
+    )
+    beta_min_m: float = Field(1e-3, gt=0, description="Smallest beta, metres (paper: 1e-3).")
+    learning_rate: float = Field(
+        3e-3, gt=0, description="Step size of Adam at the start of each round; it falls to a tenth."
+    )
+    steps_per_keyframe: int = Field(
+        10, ge=0, description="Steps on the pixels of each new keyframe, before it is fused."
+    )
+    steps_per_sweep: int = Field(400, ge=0, description="Steps on the pixels of all keyframes after each sweep.")
+    batch: int = Field(4096, ge=16, description="Pixels in each step.")
+
+
+class KeyframeConfig(Strict):
+    """Which frames lend their pixels to the learning."""
+
+    max_overlap: float = Field(
+        0.9, gt=0, le=1.0, description="A frame is a keyframe if no earlier one sees more of it than this share."
+    )
+    rays: int = Field(3000, ge=100, description="Pixels drawn from a keyframe.")
+    max_rays: int = Field(400_000, ge=1000, description="Pixels kept in all; beyond it random ones make place.")
+
+
+class FieldConfig(Strict):
+    """The neural field and its refinement by rendering."""
+
+    iterations: int = Field(
+        200, ge=0, description="Steps of the refinement by rendering; 0: the field is the fused map."
+    )
+    rays: int = Field(2048, ge=64, description="Rays rendered in each step, half of them of colour where it is heard.")
+    samples: int = Field(8, ge=4, description="Samples on each ray, around the present surface.")
+    levels: tuple[Annotated[int, Field(ge=1, le=64)], ...] = Field(
+        (4, 12), description="Cell sizes of the coarser feature grids, 1 to 64 voxels each."
+    )
+    channels: int = Field(4, ge=1, description="Features at each sample of those grids.")
+    hidden: int = Field(24, ge=4, description="Width of the decoder's hidden layer.")
+    learning_rate_sdf_m: float = Field(
+        1e-4, gt=0, description="Step size of Adam for the offsets at the samples near the surface, metres."
+    )
+    learning_rate: float = Field(
+        2.5e-3,
+        gt=0,
+        description="Step size of Adam for the feature grids and the decoder; a tenth of it without colour.",
+    )
+    color_weight: float = Field(0.1, ge=0, description="Weight of the colour error beside the likelihood of depth.")
+    prior_weight: float = Field(1.0, ge=0, description="Weight of the pull back to the fused distances.")
+
+
+class ColorConfig(Strict):
+    """Colour as one more witness of where the surface is: depth by matching views."""
+
+    enabled: bool = Field(
+        True, description="Correct the surface by what colours of several views agree on; needs the uncertainty."
+    )
+    looks: int = Field(
+        3,
+        ge=1,
+        description="Times that colour is asked, each before a sweep; once if it finds the surface where it is.",
+    )
+    weigh_sensors: bool = Field(
+        True, description="Find what readings of each sensor are worth by predicting colour; else all a third."
+    )
+    max_views: int = Field(150, ge=3, description="Views whose depth is looked for, at most.")
+    shift: float = Field(
+        0.03, gt=0, description="A view is chosen when the camera moved by this share of the depth it sees,"
+    )
+    turn_rad: float = Field(0.07, gt=0, description="or turned by this angle, radians.")
+
+
+class TrackingConfig(Strict):
+    """Finding the camera of every frame."""
+
+    enabled: bool = Field(
+        False, description="Estimate the poses; false: take those of the recording; set by `--track`."
+    )
+    color: bool = Field(
+        True, description="Use colour: features and photometric residuals; set by `--color` and `--no-color`."
+    )
+    features: int = Field(1000, ge=50, description="Features taken from an image, the strongest.")
+    readings: int = Field(1000, ge=0, description="Depth readings of each sensor that are aligned with the surface.")
+    explore_every: int = Field(
+        3, ge=1, description="Every n-th frame, and every keyframe, enters the map while tracking; all do afterwards."
+    )
+    keyframe_matches: int = Field(80, ge=12, description="A frame with fewer matches becomes a keyframe.")
+    keyframe_turn_rad: float = Field(0.1, gt=0, description="So does one that turned by more, radians,")
+    keyframe_shift: float = Field(0.05, gt=0, description="or moved by more than this share of the depth it sees.")
+
+
+class HealthConfig(Strict):
+    """Noticing sensors that drop out, freeze or go wrong in the middle of a recording."""
+
+    enabled: bool = Field(True, description="Leave out what a sensor reads while it is at fault; false: believe it.")
+    min_readings: float = Field(
+        0.05, ge=0, lt=1, description="A sensor is missing in a frame with at most this share of its usual readings."
+    )
+    max_bias: float = Field(
+        0.03, gt=0, description="A median error against the map is borne, if earlier ones reach to this share of depth."
+    )
+    max_scatter: float = Field(0.05, gt=0, description="So is this median deviation from it, as a share of depth.")

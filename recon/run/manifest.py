@@ -1,0 +1,69 @@
+"""The manifest of a run directory: what it holds and what that was made with."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import platform
+from importlib.metadata import PackageNotFoundError, version
+from typing import Any
+
+from pydantic import BaseModel, ConfigDict
+
+SCHEMA_VERSION = 1
+
+
+class FrameRecord(BaseModel):
+    """One frame of the run. `sensors` are those with a readable image; `source_index` counts in the data set."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+    index: int
+    source_index: int
+    timestamp: float
+    color: str  # file name in frames/color
+    sensors: tuple[str, ...]
+    T_world_camera: list[list[float]] | None = None
+
+
+class StageRecord(BaseModel):
+    """A finished stage: what it was made with, and when."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+    config_hash: str
+    finished: str
+    seconds: float
+    versions: dict[str, str]
+    facts: dict[str, Any] = {}  # settings and figures of the stage: seed, device, frames/s, peak memory ...
+
+
+class Manifest(BaseModel):
+    """`manifest.json`: what the run is made of."""
+
+    model_config = ConfigDict(extra="forbid")
+    schema_version: int = SCHEMA_VERSION
+    dataset: str
+    dataset_format: str
+    name: str
+    camera: dict[str, float]
+    sensors: tuple[str, ...]
+    has_timestamps: bool
+    reference_mesh: str | None = None
+    registration_sigma_px: float = 0.0  # how far colour may lie beside its depth, by an error that all frames share
+    skipped: dict[str, str] = {}  # "source index[/sensor]" -> reason
+    stages: dict[str, StageRecord] = {}
+
+
+def config_hash(*parts: object) -> str:
+    """Short, stable hash of JSON-like settings."""
+    return hashlib.sha256(json.dumps(parts, sort_keys=True, default=str).encode()).hexdigest()[:16]
+
+
+def library_versions() -> dict[str, str]:
+    """Versions that decide a result."""
+    found = {"python": platform.python_version()}
+    for name in ("uncle", "torch", "open3d", "numpy", "opencv-python-headless"):
+        try:
+            found[name] = version(name)
+        except PackageNotFoundError:
+            continue
+    return found

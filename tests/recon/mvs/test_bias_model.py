@@ -1,0 +1,148 @@
+"""Bias of a sensor: learned through noise, believed only if the sensor's own views then agree better."""
+
+import numpy as np
+import pytest
+import torch
+from uncle.recon.core.camera import Camera
+from uncle.recon.core.config.uncle import UncertaintyConfig
+from uncle.recon.mvs.bias_model import MIN_VIEWS, BiasTrial, SensorBias
+from uncle.recon.sensors.noise_inputs import FEATURES, noise_features, relative_spread
+from uncle.recon.sensors.noise_model import Residuals
+
+CONFIG = UncertaintyConfig(batch=1024, learning_rate=0.01)
+
+
+def generator(seed: int = 0) -> torch.Generator:
+    return torch.Generator().manual_seed(seed)
+
+
+def smooth(features: torch.Tensor) -> torch.Tensor:
+    """The features, of pixels that no edge is near."""
+    features[..., FEATURES.index("spread_7")] = -1.5
+    return features
+
+
+def taught_bias(metres: float) -> SensorBias:
+    """One that learned, through noise of 5 cm, that readings at depth feature x are `metres` * x too far."""
+    features = smooth(torch.randn(20_000, len(FEATURES), generator=generator(1)))
+    uniform = torch.rand(20_000, generator=generator(2)) - 0.5
+    noise = -0.05 * uniform.sign() * torch.log1p(-2 * uniform.abs())
+    bias = SensorBias(CONFIG, generator())
+    off = metres * features[:, 0] + noise
+    bias.learn(Residuals(off, features, torch.full_like(off, 0.05)), 300, generator())
+    return bias
+
+
+def test_finds_an_offset_below_the_noise():
+    bias = taught_bias(0.03)
+    fresh = smooth(torch.randn(4000, len(FEATURES), generator=generator(3)))
+    found = bias(fresh).detach()
+    assert float((found - 0.03 * fresh[:, 0]).abs().median()) < 0.005
+    slope = float((found * fresh[:, 0]).mean() / fresh[:, 0].square().mean())
+    assert slope == pytest.approx(0.03, rel=0.15)
+
+
+def test_takes_nothing_off_unless_believed():
+    bias, features = taught_bias(0.03), smooth(torch.ones(3, len(FEATURES)))
+    assert bias.of(features) == 0.0
+    bias.believed.fill_(True)
+    assert torch.equal(bias.of(features), bias(features).detach())
+    again = SensorBias(CONFIG, generator(9))
+    again.load_state_dict(bias.state_dict())
+    assert again.believed
+    assert torch.equal(again.of(features), bias.of(features))
+
+
+@pytest.mark.parametrize(
+    ("beta_m", "voxel_size_m", "exceeds"), [(0.05, 0.1, True), (0.07, 0.1, False), (0.05, 0.05, False)]
+)
+def test_a_bias_counts_where_it_is_more_than_colours_own_can_be(beta_m, voxel_size_m, exceeds):
+    """It is 2 cm in the median; colour whose beta is a voxel cannot tell anything."""
+    features = smooth(torch.randn(4000, len(FEATURES), generator=generator(3)))
+    nothing = torch.zeros(len(features))
+    features[: 6 * len(features) // 10, FEATURES.index("spread_7")] = 1.0  # beside edges, where it says nothing
+    heard = Residuals(nothing, features, nothing + beta_m)
+    assert taught_bias(0.03).exceeds_that_of(heard, voxel_size_m) == exceeds
+
+
+def test_corrects_readings_and_leaves_holes():
+    bias = taught_bias(0.03)
+    depth = torch.tensor([[2.0, 0.0], [1.0, 0.01]])
+    features = smooth(torch.zeros(2, 2, len(FEATURES)))
+    features[..., 0] = torch.tensor([[1.0, 1.0], [-1.0, 2.0]])
+    corrected = bias.correct(depth, features)
+    assert float(corrected[0, 0]) == pytest.approx(1.97, abs=0.01)
+    assert float(corrected[1, 0]) == pytest.approx(1.03, abs=0.01)
+    assert corrected[0, 1] == 0
+    assert corrected[1, 1] == 0  # not behind the camera
+
+
+def test_says_nothing_at_edges_of_depth():
+    """One image with a step of 1 m in its middle."""
+    bias = taught_bias(0.03)
+    depth = torch.full((40, 60), 2.0)
+    depth[:, 30:] = 3.0
+    camera = Camera(60, 40, 50.0, 50.0, 29.5, 19.5)
+    normals = torch.tensor([0.0, 0.0, -1.0]).expand(40, 60, 3)
+    features = noise_features(depth, normals, torch.full((40, 60, 3), 90, dtype=torch.uint8), camera)
+    off = bias.image(depth, features)[20]
+    assert (off[27:33] == 0).all()
+    assert (off[:24] != 0).all()
+    assert (off[36:] != 0).all()
+
+
+def test_the_spread_of_depth_is_read_from_the_features():
+    camera = Camera(60, 40, 50.0, 50.0, 29.5, 19.5)
+    depth = torch.full((40, 60), 2.0)
+    depth[:, 30:] = 2.5
+    normals = torch.tensor([0.0, 0.0, -1.0]).expand(40, 60, 3)
+    features = noise_features(depth, normals, torch.full((40, 60, 3), 90, dtype=torch.uint8), camera)
+    found = relative_spread(features)[20]
+    assert float(found[10]) < 2e-3
+    window = 1 / depth[20, 27:34]  # around pixel 30
+    assert float(found[30]) == pytest.approx(float(window.std(correction=0) * depth[20, 30]), rel=0.01)
+
+
+# --- the trial ---------------------------------------------------------------------------------------------------
+def share_better(room, read, corrected, views: int = 8) -> float | None:
+    """The camera walks towards a wall; `read`, `corrected` are functions of the true depth."""
+    trial = BiasTrial()
+    for step in range(views):
+        pose = room.pose(0.05 * step, (1.2 + 0.15 * step, 1.5, 1.2))
+        true = torch.from_numpy(room.depth(pose)).float()
+        trial.add(read(true), corrected(true), pose)
+    return trial.share_better(room.camera, seed=0)
+
+
+def too_far(depth):
+    return depth * (1 + 0.02 * depth)
+
+
+def as_it_is(depth):
+    return depth
+
+
+def test_an_offset_that_is_there_is_confirmed(box_room):
+    assert share_better(box_room, too_far, as_it_is) == 1.0
+
+
+def test_an_offset_that_is_not_there_is_refused(box_room):
+    assert share_better(box_room, as_it_is, too_far) == 0.0
+
+
+def test_half_of_it_still_helps_and_three_times_as_much_does_not(box_room):
+    assert share_better(box_room, too_far, lambda d: d * (1 + 0.01 * d)) == 1.0
+    assert share_better(box_room, too_far, lambda d: d * (1 - 0.04 * d)) == 0.0
+
+
+def test_what_changes_nothing_is_not_believed(box_room):
+    assert share_better(box_room, too_far, too_far) == 0.0
+
+
+def test_too_few_views_confirm_nothing(box_room):
+    assert share_better(box_room, too_far, as_it_is, views=MIN_VIEWS) is None
+    blind = BiasTrial()
+    for _ in range(9):
+        blind.add(torch.zeros(120, 160), torch.zeros(120, 160), np.eye(4))
+    assert blind.share_better(box_room.camera, 0) is None
+    assert BiasTrial().share_better(box_room.camera, 0) is None
