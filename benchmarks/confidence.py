@@ -12,8 +12,8 @@ from pathlib import Path
 import numpy as np
 from scipy.stats import spearmanr
 from uncle.recon.methods.confidence.models import ConfidenceModels
-from uncle.recon.run.directory.directory import RunDirectory
-from uncle.recon.run.directory.frames import RunFrames
+from uncle.recon.run.directory import RunDirectory
+from uncle.recon.run.frames import RunFrames
 
 PIXELS = 4000  # drawn from each image
 

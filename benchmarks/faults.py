@@ -19,7 +19,7 @@ from uncle.recon.core.frame import Frame, Recording
 from uncle.recon.evaluation.bench.process import Record, new_run, sensor_options, uncle
 from uncle.recon.evaluation.bench.scores import surface_scores
 from uncle.recon.evaluation.bench.tables import cell, markdown_table
-from uncle.recon.run.directory.directory import RunDirectory
+from uncle.recon.run.directory import RunDirectory
 from uncle.recon.stages.preprocess import preprocess
 
 FAULTS = ("none", "zero", "frozen", "shifted")

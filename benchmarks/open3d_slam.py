@@ -18,8 +18,8 @@ from uncle.recon.core.errors import UncleError
 from uncle.recon.core.files import DEPTH_UNITS_PER_M, encode_metres
 from uncle.recon.core.frame import Frame
 from uncle.recon.core.trajectory import Trajectory
-from uncle.recon.run.directory.directory import RunDirectory
-from uncle.recon.run.directory.frames import RunFrames
+from uncle.recon.run.directory import RunDirectory
+from uncle.recon.run.frames import RunFrames
 from uncle.recon.stages.map import choose_sensors, peak_memory_mb
 
 METHODS = {

@@ -14,15 +14,15 @@ import numpy as np
 import torch
 from uncle.recon.core.config.map_config import make_config
 from uncle.recon.core.device import choose_device
+from uncle.recon.core.tensor_files import load_tensors
 from uncle.recon.evaluation.bench.tables import markdown_table
 from uncle.recon.methods.nice.mapper import Optimizer
 from uncle.recon.methods.nice.poses import to_matrix, to_seven
 from uncle.recon.methods.nice.scene import Stage
 from uncle.recon.methods.nice.system import NiceSystem
 from uncle.recon.methods.nice.views import Window
-from uncle.recon.run.directory.checkpoint import load_tensors
-from uncle.recon.run.directory.directory import RunDirectory
-from uncle.recon.run.directory.frames import RunFrames
+from uncle.recon.run.directory import RunDirectory
+from uncle.recon.run.frames import RunFrames
 
 STAGES: tuple[Stage, ...] = ("middle", "fine", "color")
 

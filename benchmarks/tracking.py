@@ -27,7 +27,7 @@ from uncle.recon.evaluation.bench.process import (
 from uncle.recon.evaluation.bench.scores import surface_scores
 from uncle.recon.evaluation.bench.tables import cell, markdown_table, ratio
 from uncle.recon.evaluation.trajectory_metrics import evaluate_trajectory
-from uncle.recon.run.directory.tracking_record import TrackingRecord
+from uncle.recon.run.tracking_record import TrackingRecord
 
 BASELINE = "open3d"
 SYSTEMS = ("uncle", BASELINE, "open3d-hybrid", "given")  # ours, Open3D's SLAM twice, ours with the poses of the data

@@ -14,8 +14,9 @@ from uncle.recon.core.camera import Camera
 from uncle.recon.core.files import BETA_UNITS_PER_M, DEPTH_UNITS_PER_M, encode_metres, write_image, write_text
 from uncle.recon.core.mesh import Mesh
 from uncle.recon.core.trajectory import Trajectory
-from uncle.recon.run.directory.directory import FrameRecord, Manifest, RunDirectory
-from uncle.recon.run.directory.frames import encode_normals
+from uncle.recon.run.directory import RunDirectory
+from uncle.recon.run.frames import encode_normals
+from uncle.recon.run.manifest import FrameRecord, Manifest
 
 ROOM_M = np.array([4.0, 3.0, 2.5])
 FACES = np.array([[0, 2, 3], [0, 3, 1], [4, 5, 7], [4, 7, 6], [0, 1, 5], [0, 5, 4], [2, 6, 7], [2, 7, 3], [0, 4, 6],

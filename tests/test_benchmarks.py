@@ -14,7 +14,7 @@ from uncle.recon.core.errors import RunError
 from uncle.recon.core.frame import Frame
 from uncle.recon.core.trajectory import Trajectory
 from uncle.recon.evaluation.bench.scores import UNCERTAINTY
-from uncle.recon.run.directory.tracking_record import TrackedFrame, TrackingRecord
+from uncle.recon.run.tracking_record import TrackedFrame, TrackingRecord
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "benchmarks"))  # the programs import each other by their bare names
 common, chain, tracking, open3d_slam = map(importlib.import_module, ("common", "chain", "tracking", "open3d_slam"))

@@ -9,7 +9,7 @@ import torch
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "benchmarks"))
 import confidence
-from uncle.recon.run.directory.frames import RunFrames
+from uncle.recon.run.frames import RunFrames
 
 
 class Oracle:

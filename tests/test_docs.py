@@ -9,7 +9,8 @@ import click
 import pytest
 from uncle.cli.main import COMMANDS, main
 from uncle.recon.core.config.map_config import known_keys
-from uncle.recon.run.directory.directory import FrameRecord, Manifest, RunDirectory, StageRecord
+from uncle.recon.run.directory import RunDirectory
+from uncle.recon.run.manifest import FrameRecord, Manifest, StageRecord
 
 ROOT = Path(__file__).parents[1]
 PAGES = [ROOT / "README.md", ROOT / "CHANGELOG.md", *sorted((ROOT / "docs").glob("*.md"))]

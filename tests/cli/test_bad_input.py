@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 from uncle.cli.main import main
-from uncle.recon.run.directory.directory import RunDirectory
-from uncle.recon.run.directory.frames import RunFrames
+from uncle.recon.run.directory import RunDirectory
+from uncle.recon.run.frames import RunFrames
 
 CAMERA = {"width": 64, "height": 48, "fx": 50.0, "fy": 50.0, "cx": 31.5, "cy": 23.5}
 FRAMES = 4

@@ -10,7 +10,7 @@ from click.testing import CliRunner, Result
 from uncle.cli.main import main
 from uncle.recon.core.mesh import Mesh
 from uncle.recon.core.trajectory import Trajectory
-from uncle.recon.run.directory.tracking_record import TrackedFrame, TrackingRecord
+from uncle.recon.run.tracking_record import TrackedFrame, TrackingRecord
 
 FAST = ["--samples", "5000", "--views", "3"]
 

@@ -8,8 +8,8 @@ from click.testing import CliRunner, Result
 from uncle.cli.main import main
 from uncle.recon.core import files as storage
 from uncle.recon.core.mesh import Mesh
-from uncle.recon.methods.registry import map_output
-from uncle.recon.run.directory.directory import RunDirectory
+from uncle.recon.methods import map_output
+from uncle.recon.run.directory import RunDirectory
 
 QUICK = [
     "fusion.voxel_size_m=0.05", "fusion.sweeps=0", "fusion.min_readings=2", "keyframes.rays=200", "field.iterations=3",

@@ -9,7 +9,7 @@ from click.testing import CliRunner, Result
 from uncle.cli.main import main
 from uncle.recon.methods.confidence.models import ConfidenceModels
 from uncle.recon.methods.senfunet.models import SenfunetModel
-from uncle.recon.run.directory.directory import RunDirectory
+from uncle.recon.run.directory import RunDirectory
 
 
 def uncle(*arguments: object) -> Result:

@@ -10,7 +10,7 @@ from click.testing import CliRunner, Result
 from uncle.cli.main import main
 from uncle.datasets.synth.write import make_dataset
 from uncle.recon.core.trajectory import Trajectory
-from uncle.recon.run.directory.tracking_record import TrackingRecord
+from uncle.recon.run.tracking_record import TrackingRecord
 
 FRAMES = 24
 QUICK = [

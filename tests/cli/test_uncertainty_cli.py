@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from click.testing import CliRunner, Result
 from uncle.cli.main import main
-from uncle.recon.run.directory.directory import RunDirectory
+from uncle.recon.run.directory import RunDirectory
 
 QUICK = [
     "fusion.voxel_size_m=0.05", "fusion.sweeps=0", "fusion.min_readings=2", "keyframes.rays=200", "field.iterations=3",

@@ -14,8 +14,8 @@ from uncle.recon.core.mesh import Mesh
 from uncle.recon.core.trajectory import Trajectory
 from uncle.recon.evaluation.run_metrics import EvalSettings, evaluate_run, score_surface, write_error_mesh
 from uncle.recon.evaluation.visibility import Visibility
-from uncle.recon.run.directory.directory import RunDirectory
-from uncle.recon.run.directory.frames import RunFrames
+from uncle.recon.run.directory import RunDirectory
+from uncle.recon.run.frames import RunFrames
 
 QUICK = EvalSettings(samples=20_000, views=5, completeness_to="surface")
 

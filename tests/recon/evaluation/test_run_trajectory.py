@@ -9,7 +9,7 @@ from uncle.recon.core.json_values import to_plain
 from uncle.recon.core.trajectory import Trajectory
 from uncle.recon.evaluation.run_metrics import EvalSettings, evaluate_run
 from uncle.recon.evaluation.run_trajectory import score_tracking, score_trajectory
-from uncle.recon.run.directory.tracking_record import TrackedFrame, TrackingRecord
+from uncle.recon.run.tracking_record import TrackedFrame, TrackingRecord
 from uncle.recon.visualization.report_camera import camera_section
 
 LOST = (4, 5, 9)

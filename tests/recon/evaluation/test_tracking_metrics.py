@@ -13,7 +13,7 @@ from uncle.recon.evaluation.tracking_metrics import (
     stated_sigmas,
 )
 from uncle.recon.evaluation.trajectory_metrics import MatchedPoses
-from uncle.recon.run.directory.tracking_record import TrackedFrame, TrackingRecord
+from uncle.recon.run.tracking_record import TrackedFrame, TrackingRecord
 
 SIGMAS = np.array([0.01, 0.02, 0.03, 0.004, 0.005, 0.006])
 

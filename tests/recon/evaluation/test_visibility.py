@@ -10,7 +10,7 @@ from uncle.recon.core.camera import project_into
 from uncle.recon.core.errors import DataError, RunError
 from uncle.recon.core.mesh_raycaster import Surface
 from uncle.recon.evaluation.visibility import Visibility, voxel_means
-from uncle.recon.run.directory.directory import RunDirectory
+from uncle.recon.run.directory import RunDirectory
 
 
 def test_all_around_sees_the_walls_and_nothing_behind_them(make_box_run):

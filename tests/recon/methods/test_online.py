@@ -8,12 +8,13 @@ import torch
 from uncle.recon.core.config.map_config import make_config
 from uncle.recon.core.errors import DataError
 from uncle.recon.core.events import Progress
+from uncle.recon.core.tensor_files import load_tensors
 from uncle.recon.core.trajectory import Trajectory
-from uncle.recon.methods.registry import registry as methods
-from uncle.recon.methods.registry.online import Found
-from uncle.recon.run.directory.checkpoint import Checkpoint, load_tensors
-from uncle.recon.run.directory.frames import RunFrames
-from uncle.recon.run.directory.tracking_record import TrackingRecord
+from uncle.recon.methods import registry as methods
+from uncle.recon.methods.online import Found
+from uncle.recon.run.checkpoint import Checkpoint
+from uncle.recon.run.frames import RunFrames
+from uncle.recon.run.tracking_record import TrackingRecord
 from uncle.recon.stages import map as map_stage
 from uncle.recon.stages.map import load_field, map_run
 from uncle.recon.volume.neural_field import NeuralField

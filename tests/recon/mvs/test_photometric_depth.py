@@ -17,8 +17,8 @@ from uncle.recon.mvs.bias_model import CONFIRMED, REFUTED, BiasTrial, SensorBias
 from uncle.recon.mvs.photometric_depth import FULL_SIZE_PIXELS, ColorWitness
 from uncle.recon.mvs.plane_sweep import MIN_SOURCES
 from uncle.recon.mvs.sensor_reliability import UNTESTED
-from uncle.recon.run.directory.checkpoint import Checkpoint
-from uncle.recon.run.directory.frames import RunFrames
+from uncle.recon.run.checkpoint import Checkpoint
+from uncle.recon.run.frames import RunFrames
 
 STEPS = UncertaintyConfig(steps_per_sweep=150, learning_rate=0.01)
 VOXEL_M = 0.05

@@ -7,7 +7,8 @@ from pathlib import Path
 import pytest
 import torch
 from uncle.recon.core.errors import RunError
-from uncle.recon.run.directory.checkpoint import VERSION, Checkpoint, load_tensors, save_tensors
+from uncle.recon.core.tensor_files import load_tensors, save_tensors
+from uncle.recon.run.checkpoint import VERSION, Checkpoint
 
 
 def test_round_trip_is_exact(tmp_path):

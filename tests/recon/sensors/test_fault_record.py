@@ -2,7 +2,7 @@
 
 import json
 
-from uncle.recon.run.directory.directory import RunDirectory
+from uncle.recon.run.directory import RunDirectory
 from uncle.recon.sensors.fault_record import Stretch, describe, save, stretches
 from uncle.recon.stages.report import _faults
 

@@ -12,10 +12,11 @@ from uncle.recon.core.config.map_config import MapConfig, make_config
 from uncle.recon.core.config.uncle import UncertaintyConfig
 from uncle.recon.core.errors import ConfigError, RunError
 from uncle.recon.core.events import Progress, Warn
+from uncle.recon.core.tensor_files import load_tensors, save_tensors
 from uncle.recon.methods.uncle.mapper import Mapper
-from uncle.recon.run.directory.checkpoint import Checkpoint, load_tensors, save_tensors
-from uncle.recon.run.directory.directory import RunDirectory
-from uncle.recon.run.directory.frames import RunFrames
+from uncle.recon.run.checkpoint import Checkpoint
+from uncle.recon.run.directory import RunDirectory
+from uncle.recon.run.frames import RunFrames
 from uncle.recon.sensors import noise_prior
 from uncle.recon.sensors.noise_inputs import FEATURES
 from uncle.recon.sensors.noise_model import NoiseModel, Residuals

@@ -18,9 +18,9 @@ from uncle.recon.core.files import write_text
 from uncle.recon.core.mesh import Mesh
 from uncle.recon.core.mesh_raycaster import Surface
 from uncle.recon.core.trajectory import Trajectory
-from uncle.recon.run.directory.checkpoint import Checkpoint
-from uncle.recon.run.directory.directory import RunDirectory
-from uncle.recon.run.directory.frames import RunFrames
+from uncle.recon.run.checkpoint import Checkpoint
+from uncle.recon.run.directory import RunDirectory
+from uncle.recon.run.frames import RunFrames
 from uncle.recon.stages import map as map_stage
 from uncle.recon.stages.map import load_field, map_run
 from uncle.recon.stages.mesh import mesh_run

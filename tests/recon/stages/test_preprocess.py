@@ -16,8 +16,9 @@ from uncle.recon.core.errors import DataError, FrameError, RunError
 from uncle.recon.core.events import Note, Progress, Warn
 from uncle.recon.core.frame import Frame
 from uncle.recon.core.trajectory import Trajectory
-from uncle.recon.run.directory.directory import FrameRecord, RunDirectory
-from uncle.recon.run.directory.frames import RunFrames
+from uncle.recon.run.directory import RunDirectory
+from uncle.recon.run.frames import RunFrames
+from uncle.recon.run.manifest import FrameRecord
 from uncle.recon.stages import frame_conversion as conversion
 from uncle.recon.stages import preprocess
 

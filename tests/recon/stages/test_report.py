@@ -9,8 +9,8 @@ import pytest
 from uncle.recon.core.errors import RunError
 from uncle.recon.core.files import write_image, write_text
 from uncle.recon.evaluation.noise_curves import incidence_angle, sensor_noise
-from uncle.recon.run.directory.directory import RunDirectory
-from uncle.recon.run.directory.frames import RunFrames, encode_normals
+from uncle.recon.run.directory import RunDirectory
+from uncle.recon.run.frames import RunFrames, encode_normals
 from uncle.recon.stages.report import write_report
 from uncle.recon.visualization.metrics_table import metric_rows
 from uncle.recon.visualization.report_charts import (

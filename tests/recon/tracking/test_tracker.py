@@ -21,10 +21,11 @@ from uncle.recon.core.files import DEPTH_UNITS_PER_M, encode_metres, write_image
 from uncle.recon.core.normals import normals, smooth_depth
 from uncle.recon.core.se3 import inverse
 from uncle.recon.core.trajectory import Trajectory
-from uncle.recon.run.directory.checkpoint import Checkpoint
-from uncle.recon.run.directory.directory import FrameRecord, Manifest, RunDirectory
-from uncle.recon.run.directory.frames import encode_normals
-from uncle.recon.run.directory.tracking_record import TrackingRecord
+from uncle.recon.run.checkpoint import Checkpoint
+from uncle.recon.run.directory import RunDirectory
+from uncle.recon.run.frames import encode_normals
+from uncle.recon.run.manifest import FrameRecord, Manifest
+from uncle.recon.run.tracking_record import TrackingRecord
 from uncle.recon.stages import map as map_stage
 from uncle.recon.stages.map import map_run
 from uncle.recon.stages.mesh import mesh_run

@@ -7,7 +7,7 @@ from uncle.recon.core.camera import Camera
 from uncle.recon.core.errors import ConfigError, DataError, DependencyError, RunError
 from uncle.recon.core.events import Note, Warn
 from uncle.recon.core.mesh import Mesh
-from uncle.recon.run.directory.directory import RunDirectory
+from uncle.recon.run.directory import RunDirectory
 from uncle.recon.visualization import mesh_pictures as snapshot
 from uncle.recon.visualization import offscreen
 from uncle.recon.visualization.mesh_pictures import (

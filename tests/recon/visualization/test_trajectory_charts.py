@@ -6,7 +6,7 @@ import pytest
 from uncle.recon.core.errors import DataError
 from uncle.recon.core.trajectory import Trajectory
 from uncle.recon.evaluation.trajectory_pair import CameraPath
-from uncle.recon.run.directory.tracking_record import TrackedFrame, TrackingRecord
+from uncle.recon.run.tracking_record import TrackedFrame, TrackingRecord
 from uncle.recon.visualization import trajectory_charts
 from uncle.recon.visualization.trajectory_charts import draw_camera_path, drift_chart, trajectory_chart
 

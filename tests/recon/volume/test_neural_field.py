@@ -4,7 +4,7 @@ import pytest
 import torch
 from uncle.recon.core.camera import Camera
 from uncle.recon.core.config.uncle import FieldConfig
-from uncle.recon.run.directory.checkpoint import load_tensors, save_tensors
+from uncle.recon.core.tensor_files import load_tensors, save_tensors
 from uncle.recon.volume.neural_field import ACTIVE_VOXELS, NeuralField
 from uncle.recon.volume.sparse_grid import SparseGrid
 from uncle.recon.volume.tsdf_volume import FusionVolume

@@ -6,10 +6,10 @@ import numpy as np
 import torch
 from uncle.recon.core.camera import Camera
 from uncle.recon.core.config.map_config import make_config
-from uncle.recon.methods.registry.open3d_tsdf import fuse_open3d
+from uncle.recon.methods.open3d_tsdf import fuse_open3d
 from uncle.recon.methods.uncle.mapper import Mapper
-from uncle.recon.run.directory.directory import RunDirectory
-from uncle.recon.run.directory.frames import RunFrames
+from uncle.recon.run.directory import RunDirectory
+from uncle.recon.run.frames import RunFrames
 from uncle.recon.volume.sparse_grid import ROWS, SparseGrid
 from uncle.recon.volume.tsdf_volume import MAX_SIGMA_M, MIN_SIGMA_M, SHARED_ERROR, FreeSpace, FusionVolume
 

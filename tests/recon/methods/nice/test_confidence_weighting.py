@@ -9,7 +9,7 @@ from uncle.recon.core.errors import ConfigError
 from uncle.recon.core.frame import Frame
 from uncle.recon.methods.confidence.models import ConfidenceModels, save_network
 from uncle.recon.methods.confidence.network import ConfidenceNetwork
-from uncle.recon.methods.confidence.weighting import LEAST, Confident
+from uncle.recon.methods.nice.confidence_weighting import LEAST, Confident
 from uncle.recon.methods.nice.views import Rays
 from uncle.recon.methods.nice.weighting import Uniform
 from uncle.recon.stages.map import map_run

@@ -10,9 +10,10 @@ from uncle.recon.core.errors import ConfigError, DataError
 from uncle.recon.core.events import Progress
 from uncle.recon.core.mesh import Mesh
 from uncle.recon.core.mesh_raycaster import Surface
+from uncle.recon.core.tensor_files import load_tensors
 from uncle.recon.core.trajectory import Trajectory
-from uncle.recon.run.directory.checkpoint import Checkpoint, load_tensors
-from uncle.recon.run.directory.tracking_record import TrackingRecord
+from uncle.recon.run.checkpoint import Checkpoint
+from uncle.recon.run.tracking_record import TrackingRecord
 from uncle.recon.stages import map as map_stage
 from uncle.recon.stages.map import map_run
 from uncle.recon.stages.mesh import mesh_run

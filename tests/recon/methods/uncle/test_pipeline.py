@@ -8,8 +8,8 @@ from uncle.recon.core.config.map_config import make_config
 from uncle.recon.methods.uncle import pipeline
 from uncle.recon.methods.uncle.pipeline import reconstruct
 from uncle.recon.methods.uncle.progress import Progression
-from uncle.recon.run.directory.checkpoint import Checkpoint
-from uncle.recon.run.directory.frames import RunFrames
+from uncle.recon.run.checkpoint import Checkpoint
+from uncle.recon.run.frames import RunFrames
 
 
 def test_every_sweep_counts_every_reading_once(make_mappable_run, tmp_path):

@@ -3,12 +3,12 @@
 from types import SimpleNamespace
 
 import pytest
-from uncle.recon import refined_field as module
 from uncle.recon.core.config.map_config import make_config
+from uncle.recon.methods.uncle import refined_field as module
 from uncle.recon.methods.uncle.pipeline import reconstruct
 from uncle.recon.methods.uncle.refined_field import field_settings
-from uncle.recon.run.directory.checkpoint import Checkpoint
-from uncle.recon.run.directory.frames import RunFrames
+from uncle.recon.run.checkpoint import Checkpoint
+from uncle.recon.run.frames import RunFrames
 
 
 def test_sensors_alone_move_the_field_less_than_with_colour():

@@ -5,10 +5,10 @@ import pytest
 import torch
 from uncle.recon.core.config.map_config import make_config
 from uncle.recon.core.events import Progress
-from uncle.recon.methods.registry.online import map_online
+from uncle.recon.methods.online import map_online
 from uncle.recon.methods.vox.system import VoxSystem
-from uncle.recon.run.directory.checkpoint import Checkpoint
-from uncle.recon.run.directory.frames import RunFrames
+from uncle.recon.run.checkpoint import Checkpoint
+from uncle.recon.run.frames import RunFrames
 from uncle.recon.stages.map import load_field, map_run
 from uncle.recon.volume.mesh_extraction import make_mesh
 
