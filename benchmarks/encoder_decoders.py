@@ -57,8 +57,8 @@ def surface_points(crops: Crops, generator: torch.Generator) -> Tensor:
     places = places[:, SURFACE_POINTS:].requires_grad_()
     distance = crops.signed_distance(places)
     (slope,) = torch.autograd.grad(distance.sum(), places)
-    on_surface = places.detach() - distance.detach()[..., None] * slope
-    return on_surface + NOISE_M * torch.randn(on_surface.shape, generator=generator, device=places.device)
+    align_to_tsdf = places.detach() - distance.detach()[..., None] * slope
+    return align_to_tsdf + NOISE_M * torch.randn(align_to_tsdf.shape, generator=generator, device=places.device)
 
 
 def train_with_encoder(settings: DecoderTraining, device: torch.device) -> OccupancyDecoders:

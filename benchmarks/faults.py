@@ -26,7 +26,7 @@ FAULTS = ("none", "zero", "frozen", "shifted")
 SHIFT_M = 0.2
 METHODS = {
     "uncle": ["--method", "uncle"],
-    "unchecked": ["--method", "uncle", "--set", "health.enabled=false"],
+    "unchecked": ["--method", "uncle", "--set", "fault_detection.enabled=false"],
     "tsdf": ["--method", "tsdf"],
 }
 COLUMNS = (("F 5 cm %", "f_score_5cm", 100, 2, False), ("F 2 cm %", "f_score_2cm", 100, 2, False))

@@ -73,7 +73,7 @@ def slam(frames: RunFrames, method: str, voxel_m: float) -> Outcome:
         # Counted in fused frames: Open3D shows no part of the model that was seen less often than min(count, 3).
         out.model.update_frame_pose(mapped, o3d.core.Tensor(T_world_camera))
         out.poses.append(T_world_camera)
-        fused = found is not None and _fused(out.model, seen, truncation)
+        fused = found is not None and _run_uncle(out.model, seen, truncation)
         clock = out.spend("mapping", clock)
         mapped += fused
         if not fused:
@@ -100,7 +100,7 @@ def track(model, seen, expected, method: str) -> np.ndarray | None:
     return motion if sound and found.fitness >= MIN_FITNESS else None
 
 
-def _fused(model, seen, truncation: float) -> bool:
+def _run_uncle(model, seen, truncation: float) -> bool:
     """Fuse the frame; False if Open3D refuses, as it does where no depth is within reach."""
     try:
         model.integrate(seen, DEPTH_UNITS_PER_M, DEPTH_MAX_M, truncation)

@@ -48,7 +48,7 @@ class Bench:
 
     def load(self, mapped: Path) -> None:
         """Take scene and networks from a run that `uncle-paper` mapped from the same frames."""
-        learned = load_tensors(RunDirectory(mapped).system_path)
+        learned = load_tensors(RunDirectory(mapped).method_state_path)
         self.system.scene.load_state(learned["scene"])
         for name, net in self.system.weighting.nets().items():
             net.load_state_dict(learned["noise"][name])
@@ -56,7 +56,7 @@ class Bench:
     def mapping(self, stage: Stage) -> Callable[[], None]:
         """One iteration of the mapper over the window."""
         mapper, scene = self.system.mapper, self.system.scene
-        window = Window(self.views, self.frames.camera, mapper.weighting.clue_patch, mapper.weighting.color_patch)
+        window = Window(self.views, self.frames.camera, mapper.weighting.patch_size, mapper.weighting.color_patch)
         poses = to_matrix(to_seven(self.poses)).to(self.device)
         scene.learn()
         settings = self.system.config.nice_mapping.model_copy(update={"learning_rate_middle": 1e-5,
@@ -68,7 +68,7 @@ class Bench:
         """One iteration of the tracker on the last frame of the window."""
         tracker = self.system.tracker
         tracker.scene.hold()
-        window = Window([self.views[-1]], self.frames.camera, tracker.weighting.clue_patch,
+        window = Window([self.views[-1]], self.frames.camera, tracker.weighting.patch_size,
                         tracker.weighting.color_patch, tracker.settings.edge)  # fmt: skip
         seven = to_seven(self.poses[-1:]).to(self.device).requires_grad_()
         adam = torch.optim.Adam([seven], 1e-6, fused=True)

@@ -15,22 +15,19 @@ from typing import NamedTuple
 from common import carry_out
 from uncle.recon.core.errors import DataError, RunError, UncleError
 from uncle.recon.core.trajectory import Trajectory
-from uncle.recon.evaluation.bench.process import (
-    LAUNCHER,
-    Record,
-    map_facts,
-    new_run,
-    run_process,
-    sensor_options,
-    uncle,
-)
+from uncle.recon.evaluation.bench.process import LAUNCHER, Record, map_facts, new_run, run_process, sensor_options, uncle
 from uncle.recon.evaluation.bench.scores import surface_scores
 from uncle.recon.evaluation.bench.tables import cell, markdown_table, ratio
 from uncle.recon.evaluation.trajectory_metrics import evaluate_trajectory
 from uncle.recon.run.tracking_record import TrackingRecord
 
 BASELINE = "open3d"
-SYSTEMS = ("uncle", BASELINE, "open3d-hybrid", "given")  # ours, Open3D's SLAM twice, ours with the poses of the data
+SYSTEMS = (
+    "uncle",
+    BASELINE,
+    "open3d-hybrid",
+    "given",
+)  # ours, Open3D's SLAM twice, ours with the poses of the data
 REPETITIONS = 3  # at most, of systems other than ours: they know no seed, or it does not decide where the camera is
 DEGREES = 180 / 3.141592653589793
 # heading, key in the record, factor, digits, whether minimum and maximum are shown

@@ -216,7 +216,7 @@ def _print_remarks(skipped: dict[str, str], notes: tuple[str, ...]) -> None:
 
 def surface_rows(metrics: SurfaceMetrics) -> Rows:
     """Rows in % and cm."""
-    from ..recon.visualization.uncertainty_table import confidence_rows
+    from ..recon.visualization.uncertainty_table import vertex_sigma_rows
 
     mesh, rows = metrics.mesh, []
     for score in mesh.scores:
@@ -237,7 +237,7 @@ def surface_rows(metrics: SurfaceMetrics) -> Rows:
             ("depth L1 where the mesh is", _cm(depth.l1_rendered_m), "cm"),
             ("share of pixels where the mesh is", _percent(depth.completeness), "%"),
         ]
-    return rows + (confidence_rows(metrics.confidence) if metrics.confidence is not None else [])
+    return rows + (vertex_sigma_rows(metrics.vertex_sigma) if metrics.vertex_sigma is not None else [])
 
 
 def _describe(metrics: SurfaceMetrics) -> str:

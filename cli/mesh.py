@@ -17,23 +17,24 @@ from .options import overwrite_option, run_option
 @click.option("--clean/--no-clean", default=None,
               help="Keep only what the cameras saw, without floaters. "
                    "Default: on, but off for the plain tsdf baseline.")  # fmt: skip
-@click.option("--min-confidence", type=click.FloatRange(min=0.0, min_open=True), default=None, metavar="METRES",
+@click.option("--max-sigma", type=click.FloatRange(min=0.0, min_open=True), default=None, metavar="METRES",
               help="Leave out vertices whose 1-sigma error is larger than this.")  # fmt: skip
+@click.option("--min-confidence", type=click.FloatRange(min=0.0, min_open=True), hidden=True)  # its former name
 @click.option("--out", type=click.Path(path_type=Path, dir_okay=False), default=None, help="Default: RUN/mesh.ply.")
 @overwrite_option
 @click.pass_context
 def command(
-    ctx: click.Context, run_path: Path, voxel: float | None, clean: bool | None, min_confidence: float | None,
-    out: Path | None, overwrite: bool,
+    ctx: click.Context, run_path: Path, voxel: float | None, clean: bool | None, max_sigma: float | None,
+    min_confidence: float | None, out: Path | None, overwrite: bool,
 ) -> None:  # fmt: skip
-    """Extract the surface of a finished map as PLY: colour, and confidence (1 sigma, metres) per vertex."""
+    """Extract the surface of a finished map as PLY: colour, and sigma (expected error, metres) per vertex."""
     from ..recon.core.events import Note
     from ..recon.run.directory import RunDirectory
     from ..recon.stages.mesh import mesh_run
 
     say = listener(ctx)
     summary = mesh_run(
-        RunDirectory(run_path), voxel_size_m=voxel, clean=clean, max_sigma_m=min_confidence, out=out,
+        RunDirectory(run_path), voxel_size_m=voxel, clean=clean, max_sigma_m=max_sigma or min_confidence, out=out,
         overwrite=overwrite, on_event=say,
     )  # fmt: skip
     if summary.unchanged:

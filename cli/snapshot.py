@@ -9,7 +9,7 @@ import click
 from .console import listener
 from .options import run_option
 
-MODES = ["shaded", "color", "confidence", "error"]
+MODES = ["shaded", "color", "sigma", "error"]
 
 
 class SizeType(click.ParamType):

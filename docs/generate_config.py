@@ -13,10 +13,10 @@ from uncle.recon.core.config.presets import PRESETS
 PAGE = Path(__file__).with_name("config.md")
 HEAD = """# Settings
 
-Generated from the models in `recon/config.py` by `make docs`.
+Generated from the models in `recon/core/config/` by `make docs`.
 
 ```sh
-uncle map --set fusion.voxel_size_m=0.01 --set fusion.sweeps=3
+uncle map --set fusion.voxel_size_m=0.01 --set fusion.passes=3
 uncle map --set "field.levels=[4, 8, 16]"
 ```
 

@@ -10,7 +10,7 @@ from scipy import stats
 from uncle.recon.core.config.map_config import make_config
 from uncle.recon.core.errors import ConfigError
 from uncle.recon.evaluation.bench.statistics import ALL_SCENES
-from uncle.recon.sensors.noise_model import seen_features
+from uncle.recon.sensors.noise_model import input_mask
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "benchmarks"))  # the programs import each other by their bare names
 ablation = importlib.import_module("ablation")
@@ -25,9 +25,9 @@ def test_every_variant_is_made_of_settings_that_there_are():
     variants = ablation.choose_variants(["paper", "own"])
     assert len(variants) > 15
     configs = [make_config("uncle", list(settings)) for settings in variants.values()]
-    seen = [seen_features(config.uncertainty.features) for config in configs]
+    seen = [input_mask(config.uncertainty.features) for config in configs]
     paper = [configs[list(variants).index(name)].uncertainty for name in ablation.GROUPS["paper"]]
-    assert len({(config.features, config.beta_min_m) for config in paper}) == 8
+    assert len({(config.inputs, config.beta_min_m) for config in paper}) == 8
     assert {config.beta_min_m for config in paper} == {1e-3, 1e-1}
     counts = {name: int(seen[list(variants).index(name)].sum()) for name in variants}
     assert counts["1K2FS"] == 2 < counts["1K7FS"] < counts["5K2FS"] < counts["5K7FS"] < counts["uncle"]

@@ -81,7 +81,7 @@ def test_what_is_done_is_kept_and_what_failed_is_tried_again(tmp_path):
 # --- tracking --------------------------------------------------------------------------------------------------------
 def tracked(system="uncle", seed=0, ate_m=0.01, session="a", frames_per_s=2.0, voxel_m=0.0, **more):
     job = tracking.Job("room", "0:9", "sl", system, voxel_m, seed)
-    costs = {"wall_s": 10.0, "seconds": {"tracking": 2.0, "sweep 1": 3.0, "sweep 2": 1.0}, "session": session}
+    costs = {"wall_s": 10.0, "seconds": {"tracking": 2.0, "pass_1": 3.0, "pass_2": 1.0}, "session": session}
     costs |= {"frames_per_s": frames_per_s, "loop_frames_per_s": 2 * frames_per_s, "used_voxel_m": voxel_m or 0.02}
     return job._asdict() | costs | {"ate_m": ate_m} | more
 

@@ -14,27 +14,27 @@ from .files import atomic_path
 @dataclass(frozen=True)
 class Mesh:
     """vertices (V, 3) float32 metres; faces (F, 3) int32; colors (V, 3) uint8 RGB or None;
-    confidence (V,) float32 or None: 1-sigma distance to the true surface in metres (smaller is better)."""
+    sigma (V,) float32 or None: 1-sigma distance to the true surface in metres (smaller is better)."""
 
     vertices: np.ndarray
     faces: np.ndarray
     colors: np.ndarray | None = None
-    confidence: np.ndarray | None = None
+    sigma: np.ndarray | None = None
 
     def save(self, path: Path) -> None:
-        """Write a binary PLY: x y z, red green blue, confidence. Raises RunError."""
+        """Write a binary PLY: x y z, red green blue, sigma. Raises RunError."""
         fields = [("x", "<f4"), ("y", "<f4"), ("z", "<f4")]
         if self.colors is not None:
             fields += [("red", "u1"), ("green", "u1"), ("blue", "u1")]
-        if self.confidence is not None:
-            fields += [("confidence", "<f4")]
+        if self.sigma is not None:
+            fields += [("sigma", "<f4")]
         table = np.zeros(len(self.vertices), dtype=fields)
         for axis, name in enumerate("xyz"):
             table[name] = self.vertices[:, axis]
         for channel, name in enumerate(("red", "green", "blue") if self.colors is not None else ()):
             table[name] = self.colors[:, channel]
-        if self.confidence is not None:
-            table["confidence"] = self.confidence
+        if self.sigma is not None:
+            table["sigma"] = self.sigma
         triangles = np.zeros(len(self.faces), dtype=[("count", "u1"), ("corners", "<i4", 3)])
         triangles["count"], triangles["corners"] = 3, self.faces
         with atomic_path(path) as temporary, open(temporary, "wb") as file:
@@ -58,7 +58,7 @@ class Mesh:
         )
         vertices = np.asarray(legacy.vertices, dtype=np.float32)
         return Mesh(
-            vertices, np.asarray(legacy.triangles, dtype=np.int32), colors, _read_confidence(Path(path), len(vertices))
+            vertices, np.asarray(legacy.triangles, dtype=np.int32), colors, _read_sigma(Path(path), len(vertices))
         )
 
 
@@ -67,7 +67,7 @@ def _ply_header(fields: list[tuple[str, str]], vertices: int, faces: int) -> str
     lines = [
         "ply",
         "format binary_little_endian 1.0",
-        "comment confidence: 1 sigma in metres",
+        "comment sigma: 1 sigma in metres",
         f"element vertex {vertices}",
     ]
     lines += [f"property {names[kind]} {name}" for name, kind in fields]
@@ -75,12 +75,12 @@ def _ply_header(fields: list[tuple[str, str]], vertices: int, faces: int) -> str
     return "\n".join(lines) + "\n"
 
 
-def _read_confidence(path: Path, vertices: int) -> np.ndarray | None:
+def _read_sigma(path: Path, vertices: int) -> np.ndarray | None:
     if path.suffix.lower() != ".ply":
         return None
     import open3d as o3d
 
     attributes = o3d.t.io.read_point_cloud(str(path)).point  # Open3D keeps custom attributes of point clouds only
-    if "confidence" not in attributes or len(attributes["confidence"]) != vertices:
+    if "sigma" not in attributes or len(attributes["sigma"]) != vertices:
         return None
-    return attributes["confidence"].numpy().reshape(-1).astype(np.float32)
+    return attributes["sigma"].numpy().reshape(-1).astype(np.float32)

@@ -26,7 +26,7 @@ from .run_trajectory import score_tracking, score_trajectory
 from .tracking_metrics import TrackingMetrics
 from .trajectory_metrics import TrajectoryMetrics
 from .uncertainty_calibration import UncertaintyMetrics, evaluate_uncertainty
-from .vertex_sigma_metrics import ConfidenceMetrics, evaluate_confidence
+from .vertex_sigma_metrics import VertexSigmaMetrics, evaluate_vertex_sigma
 from .visibility import Visibility
 
 UNCERTAINTY_READINGS = 500_000  # per sensor, drawn evenly from the frames
@@ -59,7 +59,7 @@ class SurfaceMetrics:
 
     mesh: MeshMetrics
     novel_views: NovelViewDepth | None
-    confidence: ConfidenceMetrics | None  # of the vertices
+    vertex_sigma: VertexSigmaMetrics | None  # of the vertices
     skipped: dict[str, str]
 
 
@@ -110,8 +110,8 @@ def score_surface(
         novel_views = _attempt(
             "novel_views", skipped, lambda: novel_view_depth(aligned, reference, settings.view_settings, seen_reference)
         )
-    confidence = _attempt("confidence", skipped, lambda: evaluate_confidence(aligned, reference, visible))
-    return SurfaceMetrics(metrics, novel_views, confidence, skipped)
+    vertex_sigma = _attempt("vertex_sigma", skipped, lambda: evaluate_vertex_sigma(aligned, reference, visible))
+    return SurfaceMetrics(metrics, novel_views, vertex_sigma, skipped)
 
 
 def evaluate_run(run: RunDirectory, settings: EvalSettings | None = None, on_event: OnEvent = ignore) -> RunMetrics:
@@ -255,7 +255,7 @@ def score_uncertainty(frames: RunFrames, sensor: str, seed: int, on_event: OnEve
     if len(error) == 0:
         raise DataError("no reading has both a beta and a true depth")
     mapped = frames.run.manifest.stages.get("map")
-    stated = mapped.facts.get("intervals_in_betas", {}).get(sensor) if mapped else None
+    stated = mapped.facts.get("error_quantiles_in_beta", {}).get(sensor) if mapped else None
     return evaluate_uncertainty(
         error, beta, np.concatenate(depths), intervals=stated, max_readings=UNCERTAINTY_READINGS, seed=seed
     )

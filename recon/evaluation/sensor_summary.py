@@ -70,6 +70,6 @@ def _rounded(beta_m: np.floating) -> float:
 def standing_of(run: RunDirectory, sensor: str) -> Standing:
     """What the sensor counts as the map stage recorded it."""
     mapped = run.manifest.stages.get("map")
-    known = [mapped.facts.get(fact) if mapped else None for fact in ("sensor_share", "reading_worth")]
+    known = [mapped.facts.get(fact) if mapped else None for fact in ("sensor_weight_share", "sensor_reliability")]
     values = [fact.get(sensor) if isinstance(fact, dict) else None for fact in known]
     return Standing(*(float(value) if isinstance(value, int | float) else None for value in values))

@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.stats import rankdata
 
-from ..sensors.intervals import LEVELS, StatedIntervals, key_of
+from ..sensors.intervals import LEVELS, ErrorQuantiles, key_of
 
 COVERAGES = (0.5, 0.9)
 BINS = 20  # of the reliability and sparsification curves
@@ -82,7 +82,7 @@ def evaluate_uncertainty(
     beta_m: np.ndarray,
     depth_m: np.ndarray | None = None,
     *,
-    intervals: StatedIntervals | None = None,
+    intervals: ErrorQuantiles | None = None,
     max_readings: int = 500_000,
     seed: int = 0,
 ) -> UncertaintyMetrics:

@@ -1,4 +1,4 @@
-"""Is the confidence of a vertex true? It promises the 1-sigma distance to the true surface, in metres."""
+"""Is the sigma of a vertex right? It predicts the 1-sigma distance to the true surface, in metres."""
 
 from __future__ import annotations
 
@@ -33,8 +33,8 @@ class ConfidenceCurves:
 
 
 @dataclass(frozen=True)
-class ConfidenceMetrics:
-    """Scores of the confidence sigma of vertices against their distance d >= 0 to the true surface.
+class VertexSigmaMetrics:
+    """Scores of the sigma of vertices against their distance d >= 0 to the true surface.
 
     d is |e| of an error e along the normal, so a Gaussian e leaves 68.3 % of the vertices within 1 sigma and 95.4 %
     within 2, and a median of d / sigma of `MEDIAN_IN_SIGMAS`.
@@ -59,33 +59,33 @@ class ConfidenceMetrics:
     curves: ConfidenceCurves
 
 
-def evaluate_confidence(
+def evaluate_vertex_sigma(
     mesh: Mesh, reference: Mesh, visible: Callable[[np.ndarray], np.ndarray] | None = None
-) -> ConfidenceMetrics:
-    """Score the confidence of vertices of `mesh`, in the frame of `reference`; with `visible` only of those it keeps.
+) -> VertexSigmaMetrics:
+    """Score the sigma of vertices of `mesh`, in the frame of `reference`; with `visible` only of those it keeps.
 
-    Raises DataError if the mesh has no confidence or no vertex that can be scored, or one is not positive.
+    Raises DataError if the mesh has no sigma or no vertex that can be scored, or one is not positive.
     """
-    if mesh.confidence is None:
-        raise DataError("the vertices of the mesh state no confidence")
+    if mesh.sigma is None:
+        raise DataError("the vertices of the mesh have no sigma")
     keep = np.isin(np.arange(len(mesh.vertices)), mesh.faces)
     if visible is not None and keep.any():
         keep[keep] = visible(mesh.vertices[keep])
     if not keep.any():
-        raise DataError("the mesh has no vertex whose confidence can be scored")
-    return score_confidence(Surface(reference).distance(mesh.vertices[keep]), mesh.confidence[keep])
+        raise DataError("the mesh has no vertex whose sigma can be scored")
+    return score_vertex_sigma(Surface(reference).distance(mesh.vertices[keep]), mesh.sigma[keep])
 
 
-def score_confidence(distance_m: np.ndarray, sigma_m: np.ndarray) -> ConfidenceMetrics:
+def score_vertex_sigma(distance_m: np.ndarray, sigma_m: np.ndarray) -> VertexSigmaMetrics:
     """Score `sigma_m` (N,) > 0 against `distance_m` (N,) >= 0, metres. Raises DataError if a value breaks that."""
     distance, sigma = distance_m.astype(np.float64), sigma_m.astype(np.float64)
     if not (np.isfinite(distance).all() and np.isfinite(sigma).all() and (sigma > 0).all()):
-        raise DataError("the confidence of every vertex must be a positive length, and the reference not empty")
+        raise DataError("the sigma of every vertex must be a positive length, and the reference not empty")
     order = np.random.default_rng(0).permutation(len(sigma))  # breaks ties of sigma fairly
     distance, sigma = distance[order], sigma[order]
     ratio = distance / sigma
     removed, by_sigma, oracle = sparsification(distance, sigma)
-    return ConfidenceMetrics(
+    return VertexSigmaMetrics(
         *(float(np.mean(ratio <= count)) for count in SIGMAS),
         float(np.median(ratio)),
         float(np.median(ratio)) / MEDIAN_IN_SIGMAS,

@@ -20,7 +20,7 @@ from ..volume.neural_field import NeuralField
 
 
 @dataclass(frozen=True)
-class Job:
+class MapJob:
     """What every method is given: the frames `indices` of a run, and the settings."""
 
     run: RunDirectory
@@ -33,7 +33,7 @@ class Job:
 
 
 @dataclass(frozen=True)
-class Made:
+class MapResult:
     """What every method returns: the field, T_world_camera by frame index, how sure the poses are if they were
     tracked, and facts for the manifest."""
 

@@ -13,7 +13,7 @@ from ..core.events import OnEvent, Warn
 from ..core.files import BETA_UNITS_PER_M, encode_metres, explain_write_errors, write_image, write_text
 from ..run.directory import RunDirectory
 from ..sensors import fault_record as sensor_record
-from ..sensors.fault_detection import SensorHealth
+from ..sensors.fault_detection import FaultDetector
 
 
 class MapOutput:
@@ -33,7 +33,13 @@ class MapOutput:
         run.save_manifest(manifest)
         with explain_write_errors(run.root):
             shutil.rmtree(run.root / "beta", ignore_errors=True)
-            for path in (run.curves_path, run.noise_model_path, run.tracking_path, run.sensors_path, run.system_path):
+            for path in (
+                run.curves_path,
+                run.noise_model_path,
+                run.tracking_path,
+                run.sensors_path,
+                run.method_state_path,
+            ):
                 path.unlink(missing_ok=True)
 
     def write_beta(self, index: int, sensor: str, beta: Tensor) -> None:
@@ -47,13 +53,13 @@ class MapOutput:
         curves = {name: {"x": list(range(len(y))), "y": y, **axes} for name, y in losses.items() if y}
         write_text(self.run.curves_path, json.dumps(curves))
 
-    def write_health(self, health: SensorHealth, on_event: OnEvent) -> dict[str, Any]:
+    def write_faults(self, health: FaultDetector, on_event: OnEvent) -> dict[str, Any]:
         """Write what was wrong with the sensors, and say it; facts: by sensor and reason, frames that were left out."""
         sensor_record.save(self.run.sensors_path, health.verdicts)
-        left_out: dict[str, Any] = {}
+        faulty: dict[str, Any] = {}
         for sensor, verdicts in health.verdicts.items():
             for sentence in sensor_record.describe(sensor, verdicts):
                 on_event(Warn(sentence))
             counts = Counter(verdict for verdict in verdicts.values() if verdict != "ok")
-            left_out |= {sensor: dict(counts)} if counts else {}
-        return {"left_out": left_out} if left_out else {}
+            faulty |= {sensor: dict(counts)} if counts else {}
+        return {"faulty_frames": faulty} if faulty else {}

@@ -83,4 +83,4 @@ def _to_field(volume, config: MapConfig) -> NeuralField:
     assert len(base) == grid.rows == len(grid.blocks) * ROWS
     sigma = torch.full_like(counts, truncation)  # plain fusion says nothing about its own error
     plain = config.field.model_copy(update={"levels": ()})
-    return NeuralField(grid, base, sigma, counts >= config.fusion.min_readings, plain, torch.Generator())
+    return NeuralField(grid, base, sigma, counts >= config.fusion.min_observations, plain, torch.Generator())

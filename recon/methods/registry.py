@@ -19,7 +19,7 @@ from ..sensors.noise_prior import save_noise_models
 from ..tracking.base import Tracker, require_found
 from ..tracking.factory import choose_tracker
 from ..volume.neural_field import NeuralField
-from .base import Job, Made
+from .base import MapJob, MapResult
 from .confidence.models import ConfidenceModels
 from .map_output import MapOutput
 from .nice.scene import choose_decoders
@@ -43,7 +43,7 @@ def _nice(frames: RunFrames, config: MapConfig, device: torch.device) -> OnlineS
 
 
 # method -> its system; imported when it is wanted
-SYSTEMS: dict[str, Callable[[RunFrames, MapConfig, torch.device], OnlineSystem]] = {
+ONLINE_METHODS: dict[str, Callable[[RunFrames, MapConfig, torch.device], OnlineSystem]] = {
     "uncle-paper": _nice,
     "nice-slam": _nice,
     "nice-slam-pre": _nice,
@@ -65,7 +65,7 @@ def _senfunet_model(config: MapConfig) -> SenfunetModel | None:
 
 
 # method -> one fusion of all frames, their poses being known
-PLAIN: dict[str, Fuse] = {"tsdf": fuse_open3d, "senfunet": _fuse_senfunet}
+BATCH_METHODS: dict[str, Fuse] = {"tsdf": fuse_open3d, "senfunet": _fuse_senfunet}
 
 
 def trained_parts(config: MapConfig) -> list[str]:
@@ -73,7 +73,7 @@ def trained_parts(config: MapConfig) -> list[str]:
     if config.method == "senfunet":
         model = _senfunet_model(config)
         return [model.digest] if model else []
-    if SYSTEMS.get(config.method) is _nice:
+    if ONLINE_METHODS.get(config.method) is _nice:
         found = [choose_decoders(config.nice.decoders).digest]
         if config.nice.weighting == "confidence":
             found.append(ConfidenceModels.load(config.sensors, config.confidence.files).digest)
@@ -81,15 +81,15 @@ def trained_parts(config: MapConfig) -> list[str]:
     return []
 
 
-def make_map(job: Job) -> Made:
+def make_map(job: MapJob) -> MapResult:
     """Make the map of `job` by the method that its settings name. Raises DataError if there is no surface."""
-    if job.config.method in SYSTEMS:
-        return _optimised(job, SYSTEMS[job.config.method])
-    plain = PLAIN.get(job.config.method)
-    return _fused_plainly(job, plain) if plain else _fused(job)
+    if job.config.method in ONLINE_METHODS:
+        return _run_online(job, ONLINE_METHODS[job.config.method])
+    plain = BATCH_METHODS.get(job.config.method)
+    return _run_batch(job, plain) if plain else _run_uncle(job)
 
 
-def _fused(job: Job) -> Made:
+def _run_uncle(job: MapJob) -> MapResult:
     output, config = MapOutput(job.run), job.config
     made = reconstruct(
         job.frames, job.indices, config, job.checkpoint, output.write_beta, job.on_event, job.prior
@@ -98,18 +98,20 @@ def _fused(job: Job) -> Made:
     output.drop_earlier_map()
     output.write_curves(made.curves)
     facts = {"seconds": _rounded(made.seconds), "keyframes": len(made.mapper.selector.T_camera_world)}
-    facts["bias_confirmed"] = {sensor: round(share, 4) for sensor, share in made.mapper.bias.confirmed.items()}
-    facts["bias_taken_off"] = sorted(made.mapper.bias.believed())
-    facts["reading_worth"] = {sensor: round(worth, 4) for sensor, worth in made.mapper.weights.worth.items()}
-    facts["intervals_in_betas"] = {sensor: widths for sensor, widths in made.mapper.intervals.items() if widths}
-    facts["sensor_share"] = {sensor: round(share, 4) for sensor, share in made.mapper.sensor_share().items()}
-    facts |= output.write_health(made.mapper.health, job.on_event)
+    facts["bias_test_improved_ratio"] = {
+        sensor: round(share, 4) for sensor, share in made.mapper.bias.confirmed.items()
+    }
+    facts["bias_corrected_sensors"] = sorted(made.mapper.bias.believed())
+    facts["sensor_reliability"] = {sensor: round(worth, 4) for sensor, worth in made.mapper.weights.worth.items()}
+    facts["error_quantiles_in_beta"] = {sensor: widths for sensor, widths in made.mapper.intervals.items() if widths}
+    facts["sensor_weight_share"] = {sensor: round(share, 4) for sensor, share in made.mapper.weight_share().items()}
+    facts |= output.write_faults(made.mapper.health, job.on_event)
     if config.uncertainty.enabled:
         save_noise_models(job.run.noise_model_path, made.mapper.noise)
-    return Made(made.field, made.poses, made.tracking, facts)
+    return MapResult(made.field, made.poses, made.tracking, facts)
 
 
-def _fused_plainly(job: Job, fuse: Fuse) -> Made:
+def _run_batch(job: MapJob, fuse: Fuse) -> MapResult:
     began = time.time()
     tracker = choose_tracker(job.frames, job.config, None)
     poses = _track_alone(job, tracker) if job.config.tracking.enabled else None
@@ -118,10 +120,10 @@ def _fused_plainly(job: Job, fuse: Fuse) -> Made:
     _require_surface(field)
     MapOutput(job.run).drop_earlier_map()
     seconds = {"tracking": tracked - began} if job.config.tracking.enabled else {}
-    return Made(field, poses, tracker.record(), {"seconds": _rounded(seconds | {"fusion": time.time() - tracked})})
+    return MapResult(field, poses, tracker.record(), {"seconds": _rounded(seconds | {"fusion": time.time() - tracked})})
 
 
-def _optimised(job: Job, make_system: Callable[[RunFrames, MapConfig, torch.device], OnlineSystem]) -> Made:
+def _run_online(job: MapJob, make_system: Callable[[RunFrames, MapConfig, torch.device], OnlineSystem]) -> MapResult:
     output = MapOutput(job.run)
     system = make_system(job.frames, job.config, choose_device(job.config.device))
     made = map_online(
@@ -130,13 +132,13 @@ def _optimised(job: Job, make_system: Callable[[RunFrames, MapConfig, torch.devi
     _require_surface(made.field)
     output.drop_earlier_map()
     output.write_curves(made.curves)
-    save_tensors(job.run.system_path, system.artifacts())
-    return Made(
+    save_tensors(job.run.method_state_path, system.artifacts())
+    return MapResult(
         made.field, made.poses, made.tracking, {"seconds": _rounded(made.seconds), "keyframes": system.keyframes()}
     )
 
 
-def _track_alone(job: Job, tracker: Tracker) -> dict[int, np.ndarray]:
+def _track_alone(job: MapJob, tracker: Tracker) -> dict[int, np.ndarray]:
     """Poses by frame index from the images alone, without a map."""
     frames, count = job.frames, len(job.indices)
 
@@ -152,7 +154,9 @@ def _track_alone(job: Job, tracker: Tracker) -> dict[int, np.ndarray]:
 
 def _require_surface(field: NeuralField) -> None:
     if not bool(field.known.any()):
-        raise DataError("nothing was seen often enough to make a surface; map more frames or lower fusion.min_readings")
+        raise DataError(
+            "nothing was seen often enough to make a surface; map more frames or lower fusion.min_observations"
+        )
 
 
 def _rounded(seconds: dict[str, float]) -> dict[str, float]:

@@ -19,20 +19,22 @@ from ..core.camera import Camera
 from ..core.config.uncle import UncertaintyConfig
 from ..sensors.noise_inputs import FEATURES, relative_spread
 from ..sensors.noise_model import PixelNetwork, Residuals
-from .multi_view_consistency import disagreement
+from .multi_view_consistency import cross_view_residual
 
 UNIT_M = 0.1  # of the network's output
 EDGE = 0.05  # of the depth, its spread around a pixel: windows of colour hold two surfaces there, and find neither
-MIN_ONLOOKERS = 3
-MIN_READINGS = 100  # of a view that are seen from others, to count it
+MIN_OBSERVING_VIEWS = 3
+MIN_MEASUREMENTS = 100  # of a view that are seen from others, to count it
 PIXELS = 1500  # of a view that are compared
 MIN_VIEWS = 3
-COLOR_BIAS = 0.35  # betas: what colours of all views can be off alike; readings of two sensors agreed on 0.26 to 0.36
+PHOTOMETRIC_BIAS_LIMIT = (
+    0.35  # betas: what colours of all views can be off alike; readings of two sensors agreed on 0.26 to 0.36
+)
 CONFIRMED, REFUTED = 0.75, 0.25  # share of the views that agree better, from which on, and up to which
 NEAR_M = 1e-3  # readings that agree as well as this agree
 
 
-class SensorBias(PixelNetwork):
+class BiasModel(PixelNetwork):
     """(N, F) features -> (N,) how much too far a sensor reads, metres; nothing at edges of depth."""
 
     def __init__(self, config: UncertaintyConfig, generator: torch.Generator) -> None:
@@ -51,13 +53,13 @@ class SensorBias(PixelNetwork):
         return (depth - self.image(depth, features)).clamp(min=0)
 
     @torch.no_grad()
-    def exceeds_that_of(self, heard: Residuals, voxel_size_m: float) -> bool:
+    def exceeds_photometric_bias(self, heard: Residuals, voxel_size_m: float) -> bool:
         """Whether it is, in the median, more than colour, which it was `heard` from, can be biased itself; of readings
         of colour that can tell samples of the map apart, away from edges of depth."""
         features = heard.features.float()
         sure = (heard.blur < voxel_size_m) & (relative_spread(features) < EDGE)
         in_betas = self(features[sure].to(self.device)).abs().cpu() / heard.blur[sure]
-        return len(in_betas) > 0 and float(in_betas.median()) > COLOR_BIAS
+        return len(in_betas) > 0 and float(in_betas.median()) > PHOTOMETRIC_BIAS_LIMIT
 
     @torch.no_grad()
     def of(self, features: Tensor) -> Tensor | float:
@@ -73,7 +75,7 @@ class DepthView:
     T_world_camera: np.ndarray
 
 
-class BiasTrial:
+class CrossViewConsistencyTest:
     """Views of one sensor as they are read and as they should be: which agree better with each other?"""
 
     def __init__(self) -> None:
@@ -84,16 +86,16 @@ class BiasTrial:
         self.read.append(DepthView(depth.cpu().numpy(), T_world_camera))
         self.corrected.append(DepthView(corrected.cpu().numpy(), T_world_camera))
 
-    def share_better(self, camera: Camera, seed: int) -> float | None:
+    def improved_fraction(self, camera: Camera, seed: int) -> float | None:
         """Share of the views that agree better with the others once all are corrected; None if too few can tell."""
         rng = np.random.default_rng(seed)
         gains = []
         for view in range(len(self.read)):
             pixels = np.flatnonzero((self.read[view].depth > 0) & (self.corrected[view].depth > 0))
             pixels = rng.choice(pixels, min(PIXELS, len(pixels)), replace=False)
-            before, seen = disagreement(camera, self.read, view, pixels)
-            after, seen_after = disagreement(camera, self.corrected, view, pixels)
-            told = np.minimum(seen, seen_after) >= MIN_ONLOOKERS
-            if told.sum() >= MIN_READINGS:
+            before, seen = cross_view_residual(camera, self.read, view, pixels)
+            after, seen_after = cross_view_residual(camera, self.corrected, view, pixels)
+            told = np.minimum(seen, seen_after) >= MIN_OBSERVING_VIEWS
+            if told.sum() >= MIN_MEASUREMENTS:
                 gains.append(np.log((before[told] + NEAR_M) / (after[told] + NEAR_M)).mean())
         return float(np.mean(np.array(gains) > 0)) if len(gains) >= MIN_VIEWS else None

@@ -28,7 +28,7 @@ class GreyView:
     T_world_camera: np.ndarray
 
 
-def agreement_volume(
+def zncc_volume(
     camera: Camera, reference: GreyView, sources: list[GreyView], inverse_depth: np.ndarray, offsets: np.ndarray
 ) -> np.ndarray:
     """(n, H, W) agreement -1..1 at 1 / z = inverse_depth (H, W) + offsets (n,), both 1 / metres.

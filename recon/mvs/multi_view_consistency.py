@@ -9,7 +9,7 @@ import numpy as np
 
 from ..core.camera import Camera, project_into
 
-ONLOOKER_OVERLAP, MAX_ONLOOKERS = 0.3, 12
+MIN_OBSERVER_OVERLAP, MAX_OBSERVING_VIEWS = 0.3, 12
 
 
 _SIDE = 0.7  # of the half image: where points are taken that a source should see
@@ -22,7 +22,7 @@ class PosedDepth(Protocol):
     T_world_camera: np.ndarray
 
 
-def disagreement(
+def cross_view_residual(
     camera: Camera, images: Sequence[PosedDepth], which: int, pixels: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """How far the depth at `pixels` (N,) of an image lies from what others measure at the same place, metres.
@@ -34,7 +34,7 @@ def disagreement(
     local = camera.rays().view(-1, 3).numpy()[pixels] * image.depth.ravel()[pixels, None]
     world = local @ image.T_world_camera[:3, :3].T + image.T_world_camera[:3, 3]
     misses = []
-    for other in _onlookers(camera, images, which):
+    for other in _observing_views(camera, images, which):
         inside, pixels_there, z = project_into(world, camera, other.T_world_camera)
         measured = other.depth[pixels_there[:, 1], pixels_there[:, 0]]
         miss = np.full(len(world), np.inf)
@@ -47,7 +47,7 @@ def disagreement(
     return ordered[np.maximum(count - 1, 0) // 2, np.arange(len(pixels))], count
 
 
-def _onlookers(camera: Camera, images: Sequence[PosedDepth], which: int) -> list[PosedDepth]:
+def _observing_views(camera: Camera, images: Sequence[PosedDepth], which: int) -> list[PosedDepth]:
     """Images that see much of this one, evenly spread.
 
     Not its sources alone: an image and its source may agree on the same false match.
@@ -57,10 +57,10 @@ def _onlookers(camera: Camera, images: Sequence[PosedDepth], which: int) -> list
     if not len(known):
         return []
     poses = np.stack([other.T_world_camera for other in images])
-    sees = _overlap(camera, poses, image.T_world_camera, float(np.median(known))) > ONLOOKER_OVERLAP
+    sees = _overlap(camera, poses, image.T_world_camera, float(np.median(known))) > MIN_OBSERVER_OVERLAP
     sees[which] = False
     rows = np.flatnonzero(sees)
-    return [images[row] for row in rows[:: 1 + len(rows) // MAX_ONLOOKERS]]
+    return [images[row] for row in rows[:: 1 + len(rows) // MAX_OBSERVING_VIEWS]]
 
 
 def _overlap(camera: Camera, poses: np.ndarray, here: np.ndarray, distance_m: float) -> np.ndarray:

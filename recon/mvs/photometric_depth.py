@@ -14,51 +14,56 @@ import torch
 from torch import Tensor
 
 from ..core.camera import Camera
-from ..core.config.uncle import ColorConfig, UncertaintyConfig
+from ..core.config.uncle import PhotometricConfig, UncertaintyConfig
 from ..core.events import OnEvent, ignore, track_progress
 from ..core.frame import Frame
 from ..run.frames import RunFrames
 from ..sensors.noise_model import NoiseModel, Residuals
-from ..volume.tsdf_surface import MapSurface
-from .bias_model import CONFIRMED, REFUTED, SensorBias
+from ..volume.tsdf_surface import TsdfSurface
+from .bias_model import CONFIRMED, REFUTED, BiasModel
 from .cost_volume import GreyView
-from .multi_view_consistency import disagreement
-from .plane_sweep import FEATURES, MIN_SOURCES, ColorDepth, choose_sources, depth_by_color
+from .multi_view_consistency import cross_view_residual
+from .plane_sweep import FEATURES, MIN_SOURCES, PlaneSweepView, choose_sources, plane_sweep_depth
 
 FULL_SIZE_PIXELS = 200_000  # larger images are halved: finer pixels than the map's samples cost time only
 SAMPLES = 4000  # pixels of a view that teach
-MIN_ONLOOKERS = 3
-SURPRISE = 1.1 * math.log(2)  # betas: from a surface that is right half of the readings are ln 2 away, give or take
+MIN_OBSERVING_VIEWS = 3
+MIN_NORMALISED_OFFSET = 1.1 * math.log(
+    2
+)  # betas: from a surface that is right half of the readings are ln 2 away, give or take
 MAX_REGISTRATION_PX = 1.0  # colour that lies further beside its depth is not heard: twice the step of the search
 _STATE = (
-    "looks", "largest_surprise", "frames", "indices", "sources", "poses", "depths", "betas", "testimony", "confirmed",
+    "passes", "max_normalised_offset", "frames", "indices", "sources", "poses", "depths", "betas", "samples",
+    "confirmed",
 )  # fmt: skip
-TESTIMONY = 3000  # pixels of a view at which the sensors are heard, too
+SAMPLES_PER_VIEW = 3000  # pixels of a view at which the sensors are heard, too
 
 
-class ColorWitness:
+class PhotometricDepth:
     """Depth by colour of some views, with the beta of each pixel; metres, (h, w) at the size it works at."""
 
     def __init__(
-        self, camera: Camera, config: ColorConfig, uncertainty: UncertaintyConfig, voxel_size_m: float, seed: int
+        self, camera: Camera, config: PhotometricConfig, uncertainty: UncertaintyConfig, voxel_size_m: float, seed: int
     ) -> None:
         self.voxel_size_m = voxel_size_m
         self.full, self.config, self.uncertainty, self.seed = camera, config, uncertainty, seed
         large = camera.width * camera.height > FULL_SIZE_PIXELS
         self.camera = camera.resized(camera.width // 2, camera.height // 2) if large else camera
-        self.looks = 0  # so far
-        self.largest_surprise = 0.0  # of a look: how far the surface is from where it was looked for, median in betas
+        self.passes = 0  # so far
+        self.max_normalised_offset = (
+            0.0  # of a look: how far the surface is from where it was looked for, median in betas
+        )
         self.frames = 0  # that the views stand for
         self.poses: list[Tensor] = []
         self.depths: list[Tensor] = []
         self.betas: list[Tensor] = []
         self.indices: list[int] = []
         self.sources: list[list[int]] = []  # of each view: the frames that it was compared with
-        self.testimony: dict[str, Tensor] = {}
+        self.samples: dict[str, Tensor] = {}
         self.confirmed = False  # poses and calibration are known to be as exact as it needs
 
     def look(
-        self, frames: RunFrames, poses: dict[int, np.ndarray], surface: MapSurface, on_event: OnEvent = ignore
+        self, frames: RunFrames, poses: dict[int, np.ndarray], surface: TsdfSurface, on_event: OnEvent = ignore
     ) -> float | None:
         """Find the depth of views along the trajectory `poses` around `surface`, and learn how noisy it is.
 
@@ -69,7 +74,7 @@ class ColorWitness:
         generator = torch.Generator().manual_seed(self.seed)
         noise = NoiseModel(self.uncertainty, generator, FEATURES)
         loss = self._learn(noise, images, generator)
-        self.looks = self.config.looks if loss is None else self.looks + 1
+        self.passes = self.config.max_passes if loss is None else self.passes + 1
         if loss is None:
             return None
         self.forget()
@@ -82,13 +87,17 @@ class ColorWitness:
             self.depths.append(depth)
             self.betas.append(noise.beta_image(depth, torch.from_numpy(image.features).float()).half())
         moved = [torch.from_numpy(image.moved) for image in images]
-        self.largest_surprise = max(self.largest_surprise, self._surprise(moved))
+        self.max_normalised_offset = max(self.max_normalised_offset, self._surprise(moved))
         return loss
 
-    def wants_another_look(self) -> bool:
+    def needs_another_pass(self) -> bool:
         """Whether colour is known to be exact, and once found the surface where it was not looked for: that moves the
         map and the biases of the sensors, and from there it finds more."""
-        return self.confirmed and self.largest_surprise > SURPRISE and self.looks < self.config.looks
+        return (
+            self.confirmed
+            and self.max_normalised_offset > MIN_NORMALISED_OFFSET
+            and self.passes < self.config.max_passes
+        )
 
     def judge(self, confirmed: float | None) -> None:
         """Be known to be exact, or say nothing, given the share of the views of sensors that agree better with each
@@ -99,14 +108,14 @@ class ColorWitness:
 
     def forget(self) -> None:
         """Say nothing."""
-        self.depths, self.betas, self.poses, self.indices, self.sources, self.testimony = [], [], [], [], [], {}
+        self.depths, self.betas, self.poses, self.indices, self.sources, self.samples = [], [], [], [], [], {}
 
-    def confront(self, frame: Frame, features: dict[str, Tensor], view: int, surface: MapSurface) -> None:
+    def sample_view(self, frame: Frame, features: dict[str, Tensor], view: int, surface: TsdfSurface) -> None:
         """Keep what colour, the sensors and the map say at some pixels of a frame that is a view."""
         depth, beta, T_world_camera = self._at_full_size(view)
         pixels = depth.view(-1).nonzero()[:, 0]
         rng = np.random.default_rng((self.seed, view))
-        pixels = pixels[torch.from_numpy(rng.choice(len(pixels), min(TESTIMONY, len(pixels)), replace=False))]
+        pixels = pixels[torch.from_numpy(rng.choice(len(pixels), min(SAMPLES_PER_VIEW, len(pixels)), replace=False))]
         sensors = torch.stack([image.view(-1)[pixels] for image in frame.depths.values()], 1)
         inputs = torch.stack([image.view(-1, image.shape[-1])[pixels] for image in features.values()], 1)
         told = {"color": depth.view(-1)[pixels], "beta": beta.view(-1)[pixels]}
@@ -114,23 +123,23 @@ class ColorWitness:
         rays = self.full.rays().view(-1, 3)[pixels]
         expected = surface.along(rays, T_world_camera).cpu()
         told |= {"expected": expected, "directions": rays @ T_world_camera[:3, :3].T}
-        self.testimony = {n: torch.cat([self.testimony[n], v]) if self.testimony else v for n, v in told.items()}
+        self.samples = {n: torch.cat([self.samples[n], v]) if self.samples else v for n, v in told.items()}
 
     def origins(self) -> Tensor:
         """(N, 3) where each pixel of the testimony was seen from, world."""
-        return torch.stack(self.poses)[self.testimony["views"], :3, 3]
+        return torch.stack(self.poses)[self.samples["views"], :3, 3]
 
     def points(self) -> Tensor:
         """(N, 3) where the map is at each pixel of the testimony, world; at the camera where it is nowhere."""
-        return self.origins() + self.testimony["expected"][:, None] * self.testimony["directions"]
+        return self.origins() + self.samples["expected"][:, None] * self.samples["directions"]
 
-    def against(self, column: int, bias: SensorBias | None = None) -> Residuals:
+    def against(self, column: int, bias: BiasModel | None = None) -> Residuals:
         """How far the readings of a sensor, without its `bias`, lie beyond what colour says, which errs by its beta."""
-        depth = self.testimony["sensors"][:, column]
+        depth = self.samples["sensors"][:, column]
         read = depth > 0
-        inputs = self.testimony["inputs"][read, column]
-        off = (depth - self.testimony["color"])[read] - (bias.of(inputs.float()) if bias else 0.0)
-        return Residuals(off, inputs, self.testimony["beta"][read])
+        inputs = self.samples["inputs"][read, column]
+        off = (depth - self.samples["color"])[read] - (bias.of(inputs.float()) if bias else 0.0)
+        return Residuals(off, inputs, self.samples["beta"][read])
 
     def readings(self) -> Iterator[tuple[Tensor, Tensor, Tensor]]:
         """For each view: depth (H, W) and beta (H, W) in metres at the size of the recording, and T_world_camera."""
@@ -161,28 +170,28 @@ class ColorWitness:
 
     # --- views -------------------------------------------------------------------------------------------------
     def _match(
-        self, frames: RunFrames, poses: dict[int, np.ndarray], surface: MapSurface, on_event: OnEvent
-    ) -> list[ColorDepth]:
+        self, frames: RunFrames, poses: dict[int, np.ndarray], surface: TsdfSurface, on_event: OnEvent
+    ) -> list[PlaneSweepView]:
         chosen = self._choose(poses, surface)
         if len(chosen) <= MIN_SOURCES:
             return []
         views = [GreyView(index, self._grey(frames, index), poses[index]) for index in chosen]
         matrices = np.stack([view.T_world_camera for view in views])
 
-        def work(row: int) -> ColorDepth | None:
+        def work(row: int) -> PlaneSweepView | None:
             prior = surface.depth_from(self.camera, matrices[row])
             if not (prior > 0).any():
                 return None
             sources = choose_sources(self.camera, matrices, row, float(np.median(prior[prior > 0])))
             if len(sources) < MIN_SOURCES:
                 return None
-            return depth_by_color(self.camera, views[row], [views[s] for s in sources], prior)
+            return plane_sweep_depth(self.camera, views[row], [views[s] for s in sources], prior)
 
         with ThreadPoolExecutor(os.cpu_count() or 1) as pool:
             done = track_progress(pool.map(work, range(len(views))), len(views), "comparing colours", on_event, "views")
             return [image for image in done if image is not None]
 
-    def _choose(self, poses: dict[int, np.ndarray], surface: MapSurface) -> list[int]:
+    def _choose(self, poses: dict[int, np.ndarray], surface: TsdfSurface) -> list[int]:
         """Frames between which the camera moved or turned enough to show something new; no more than allowed."""
         chosen: list[int] = []
         distance = 1.0
@@ -190,10 +199,13 @@ class ColorWitness:
             if chosen:
                 step = np.linalg.inv(poses[chosen[-1]]) @ poses[index]
                 turn = np.arccos(np.clip((np.trace(step[:3, :3]) - 1) / 2, -1, 1))
-                if np.linalg.norm(step[:3, 3]) < self.config.shift * distance and turn < self.config.turn_rad:
+                if (
+                    np.linalg.norm(step[:3, 3]) < self.config.min_baseline_ratio * distance
+                    and turn < self.config.min_rotation_rad
+                ):
                     continue
             chosen.append(index)
-            distance = surface.typical_distance(self.camera, poses[index]) or distance
+            distance = surface.median_depth(self.camera, poses[index]) or distance
         every = -(-len(chosen) // self.config.max_views)
         return chosen[:: max(every, 1)]
 
@@ -210,18 +222,18 @@ class ColorWitness:
         return float(torch.cat(betas).median()) if any(map(len, betas)) else 0.0
 
     # --- noise -------------------------------------------------------------------------------------------------
-    def _learn(self, noise: NoiseModel, images: list[ColorDepth], generator: torch.Generator) -> float | None:
+    def _learn(self, noise: NoiseModel, images: list[PlaneSweepView], generator: torch.Generator) -> float | None:
         rng = np.random.default_rng(self.seed)
         features, residuals = [], []
         for row, image in enumerate(images):
             pixels = np.flatnonzero(image.depth)
             pixels = rng.choice(pixels, min(SAMPLES, len(pixels)), replace=False)
-            residual, count = disagreement(self.camera, images, row, pixels)
-            kept = count >= MIN_ONLOOKERS
+            residual, count = cross_view_residual(self.camera, images, row, pixels)
+            kept = count >= MIN_OBSERVING_VIEWS
             features.append(image.features.reshape(-1, len(FEATURES))[pixels[kept]])
             residuals.append(residual[kept])
         if sum(map(len, residuals)) < SAMPLES:
             return None
         inputs = torch.from_numpy(np.concatenate(features))
         off = torch.from_numpy(np.concatenate(residuals)).float()
-        return noise.learn(Residuals.against_truth(off, inputs), self.uncertainty.steps_per_sweep, generator)
+        return noise.learn(Residuals.against_truth(off, inputs), self.uncertainty.steps_per_pass, generator)

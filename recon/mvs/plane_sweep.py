@@ -14,7 +14,7 @@ import cv2
 import numpy as np
 
 from ..core.camera import Camera
-from .cost_volume import GreyView, agreement_volume, texture
+from .cost_volume import GreyView, texture, zncc_volume
 from .multi_view_consistency import _overlap
 
 SOURCES = 6
@@ -33,7 +33,7 @@ _MIN_AGREEMENT = 1e-3  # less is rounding: flat images agree on nothing
 
 
 @dataclass(frozen=True)
-class ColorDepth:
+class PlaneSweepView:
     """depth (H, W) float32 metres, 0 = none, and how far that `moved` from where it was looked for; features (H, W, F)
     float16 for its noise model; where it was taken."""
 
@@ -62,7 +62,9 @@ def choose_sources(camera: Camera, T_world_camera: np.ndarray, reference: int, d
     return chosen
 
 
-def depth_by_color(camera: Camera, reference: GreyView, sources: list[GreyView], prior: np.ndarray) -> ColorDepth:
+def plane_sweep_depth(
+    camera: Camera, reference: GreyView, sources: list[GreyView], prior: np.ndarray
+) -> PlaneSweepView:
     """The depth of best agreement within `SEARCH_PX` of `prior` (H, W) metres, 0 = unknown: nothing is looked for."""
     valid = prior > 0
     distance = float(np.median(prior[valid])) if valid.any() else 1.0
@@ -70,7 +72,7 @@ def depth_by_color(camera: Camera, reference: GreyView, sources: list[GreyView],
     step = STEP_PX / (camera.fx * baseline)
     half = round(SEARCH_PX / STEP_PX)
     inverse = (1 / np.where(valid, prior, distance)).astype(np.float32)
-    volume = agreement_volume(camera, reference, sources, inverse, np.arange(-half, half + 1) * step)
+    volume = zncc_volume(camera, reference, sources, inverse, np.arange(-half, half + 1) * step)
     peak = volume[1:-1].argmax(0) + 1
     before, best, after = (_layer(volume, peak + shift) for shift in (-1, 0, 1))
     sharpness = np.maximum(2 * best - before - after, 1e-6)
@@ -86,7 +88,7 @@ def depth_by_color(camera: Camera, reference: GreyView, sources: list[GreyView],
     ]  # fmt: skip
     features = np.stack(planes, -1).astype(np.float16)
     moved = np.where(valid, np.abs(depth - prior), 0).astype(np.float32)
-    return ColorDepth(
+    return PlaneSweepView(
         reference.index, reference.T_world_camera, depth, moved, features, tuple(s.index for s in sources)
     )
 

@@ -19,13 +19,13 @@ from scipy.optimize import minimize
 from scipy.sparse import coo_array, csr_array
 from scipy.spatial import cKDTree
 
-from ..sensors.fusion_weights import ReadingWeights
+from ..sensors.fusion_weights import FusionWeights
 from ..sensors.noise_model import NoiseModel
-from .bias_model import SensorBias
-from .photometric_depth import ColorWitness
+from .bias_model import BiasModel
+from .photometric_depth import PhotometricDepth
 
 PLACE_VOXELS = 0.75  # readings this near to each other are of the same place
-UNTESTED = 1 / 3  # where it cannot be found
+DEFAULT_RELIABILITY = 1 / 3  # where it cannot be found
 ENOUGH = 1000  # predicted readings
 FARTHEST = 50.0  # from 1: less or more cannot be told from nothing or everything
 MAX_PAIRS = 4_000_000  # of readings of the same place; where there are more, fewer readings are asked
@@ -34,7 +34,7 @@ _PULL = 1e-3  # of the logarithm towards the start, where nothing is said either
 
 
 @dataclass(frozen=True)
-class Statements:
+class CrossViewSamples:
     """What is said of points (N, 3) metres on the surface of the map, each from a view (N,).
 
     offsets, weights (N, S + 1): how far beyond the surface sensors and, last, colour see it, metres, not finite where
@@ -49,15 +49,15 @@ class Statements:
 
 
 def statements(
-    witness: ColorWitness,
+    witness: PhotometricDepth,
     noise: Mapping[str, NoiseModel],
-    biases: Mapping[str, SensorBias],
-    weights: ReadingWeights,
+    biases: Mapping[str, BiasModel],
+    weights: FusionWeights,
     truncation_m: float,
-) -> Statements:
+) -> CrossViewSamples:
     """What the witness heard of points on the map, with the uncertainty, biases and weights of the sensors as they are
     now; readings farther from the map than its truncation say nothing."""
-    told, offsets, weighs = witness.testimony, [], []
+    told, offsets, weighs = witness.samples, [], []
     views = told["views"].unique().tolist()
     for column, (sensor, model) in enumerate(noise.items()):
         depth, inputs = told["sensors"][:, column], told["inputs"][:, column].float()
@@ -74,24 +74,24 @@ def statements(
     weight = torch.stack([*weighs, weights.of(told["beta"].float())], 1)
     seen = told["expected"] > 0
     columns = (witness.points(), told["views"], offset, weight, told["beta"].float())
-    return Statements(*(values[seen].numpy() for values in columns))
+    return CrossViewSamples(*(values[seen].numpy() for values in columns))
 
 
-def worth_of_readings(
-    said: Statements, related: np.ndarray, voxel_size_m: float, sensors: Sequence[str]
+def estimate_reliability(
+    said: CrossViewSamples, related: np.ndarray, voxel_size_m: float, sensors: Sequence[str]
 ) -> dict[str, float]:
     """By sensor, the factor on its weights with which colour of each view is best predicted by other views.
 
     related (V, V) bool: views with an image in common, whose colours predict nothing of each other. Where it makes no
-    difference, or colour says too little that can be predicted, a reading is worth `UNTESTED`.
+    difference, or colour says too little that can be predicted, a reading is worth `DEFAULT_RELIABILITY`.
     """
-    first = np.full(len(sensors), np.log(UNTESTED))
+    first = np.full(len(sensors), np.log(DEFAULT_RELIABILITY))
     said = _thinned(said, PLACE_VOXELS * voxel_size_m)
     weights, sums = _sums_of_others(said, related, PLACE_VOXELS * voxel_size_m)
     known = np.isfinite(said.offsets[:, -1]) & (said.beta < voxel_size_m)
     known &= (weights > 0).sum(1) > 1  # where one alone speaks, its factor makes no difference
     if known.sum() < ENOUGH:
-        return dict.fromkeys(sensors, UNTESTED)
+        return dict.fromkeys(sensors, DEFAULT_RELIABILITY)
     wanted, scale = said.offsets[known, -1], np.hypot(said.beta[known], 0.25 * voxel_size_m)
     weights, sums = weights[known], sums[known]
 
@@ -108,28 +108,28 @@ def worth_of_readings(
     return dict(zip(sensors, np.exp(best).tolist(), strict=True))
 
 
-def _thinned(said: Statements, radius_m: float) -> Statements:
+def _thinned(said: CrossViewSamples, radius_m: float) -> CrossViewSamples:
     """So few of the statements that there are about `MAX_PAIRS` within `radius_m` of each other."""
     few = 1 + len(said.points) // _COUNTED
     tree = cKDTree(said.points[::few])
     pairs = few**2 * (tree.count_neighbors(tree, radius_m) - tree.n) / 2
     step = max(1, math.ceil(math.sqrt(pairs / MAX_PAIRS)))
-    return Statements(*(values[::step] for values in vars(said).values()))
+    return CrossViewSamples(*(values[::step] for values in vars(said).values()))
 
 
-def _sums_of_others(said: Statements, related: np.ndarray, radius_m: float) -> tuple[np.ndarray, np.ndarray]:
+def _sums_of_others(said: CrossViewSamples, related: np.ndarray, radius_m: float) -> tuple[np.ndarray, np.ndarray]:
     """(N, S + 1) weights, and weights times offsets, of what other views say of each place; for colour, last, those
     that are not related."""
     near = cKDTree(said.points).query_pairs(radius_m, output_type="ndarray")
     place, other = np.concatenate([near, near[:, ::-1]]).T
     views = said.views[place], said.views[other]
-    others, strangers = (_sum_over(place[m], other[m], said) for m in (views[0] != views[1], ~related[views]))
+    others, independent = (_sum_over(place[m], other[m], said) for m in (views[0] != views[1], ~related[views]))
     there = np.isfinite(said.offsets)
     weights = np.where(there, said.weights, 0.0)
     products = weights * np.where(there, said.offsets, 0.0)
-    return tuple(np.column_stack([others @ v[:, :-1], strangers @ v[:, -1:]]) for v in (weights, products))
+    return tuple(np.column_stack([others @ v[:, :-1], independent @ v[:, -1:]]) for v in (weights, products))
 
 
-def _sum_over(place: np.ndarray, other: np.ndarray, said: Statements) -> csr_array:
+def _sum_over(place: np.ndarray, other: np.ndarray, said: CrossViewSamples) -> csr_array:
     """The (N, N) matrix that sums over the others that each place is paired with."""
     return coo_array((np.ones(len(place), np.float32), (place, other)), shape=(len(said.views),) * 2).tocsr()

@@ -59,8 +59,8 @@ class RunDirectory:
         return self.root / "map" / "noise_model.pt"
 
     @property
-    def system_path(self) -> Path:
-        return self.root / "map" / "system.pt"
+    def method_state_path(self) -> Path:
+        return self.root / "map" / "method_state.pt"
 
     @property
     def checkpoint_path(self) -> Path:

@@ -16,13 +16,13 @@ import torch
 from torch import Tensor
 
 from ..core.camera import Camera
-from ..core.config.uncle import HealthConfig
+from ..core.config.uncle import FaultDetectionConfig
 from ..core.frame import Frame
 
-Verdict = Literal["ok", "missing", "frozen", "disagrees"]
+Verdict = Literal["ok", "missing", "frozen", "inconsistent"]
 
 SAMPLES = 700  # rays of a frame that are compared with the map: the median of so many is known well enough
-MIN_COMPARED = 70  # readings that meet the map: with fewer the verdict before stands
+MIN_COMPARED_MEASUREMENTS = 70  # readings that meet the map: with fewer the verdict before stands
 HISTORY = 60  # frames back that say what is usual of a sensor
 MIN_HISTORY = 5  # frames before anything is called unusual
 SCATTER_TIMES = 4.0  # the usual scatter is unusual
@@ -63,13 +63,15 @@ class _Past:
     last: Verdict = "ok"
 
 
-class SensorHealth:
+class FaultDetector:
     """Judges the sensors of frame after frame and remembers every verdict.
 
     `poses_given`: those of the recording count as true; else a frame may be off because its pose is.
     """
 
-    def __init__(self, camera: Camera, sensors: tuple[str, ...], config: HealthConfig, poses_given: bool) -> None:
+    def __init__(
+        self, camera: Camera, sensors: tuple[str, ...], config: FaultDetectionConfig, poses_given: bool
+    ) -> None:
         self.camera, self.sensors, self.config, self.poses_given = camera, sensors, config, poses_given
         self.verdicts: dict[str, dict[int, Verdict]] = {sensor: {} for sensor in sensors}
         self._past = {sensor: _Past() for sensor in sensors}
@@ -100,13 +102,13 @@ class SensorHealth:
         if not self.config.enabled:
             return frame
         errors = {s: compare_depths(d[self._grid].reshape(-1), predicted, max_depth_m) for s, d in frame.depths.items()}
-        judged = {s: e for s, e in errors.items() if e.count >= MIN_COMPARED}
+        judged = {s: e for s, e in errors.items() if e.count >= MIN_COMPARED_MEASUREMENTS}
         off = {s for s, e in judged.items() if is_unusual(e, self._past[s].biases, self._past[s].scatters, self.config)}
         nobody_agrees = off == set(judged) and (len(judged) > 1 or not self.poses_given)
         for sensor in frame.depths:
             past = self._past[sensor]
             if sensor in judged and not (sensor in off and nobody_agrees):
-                past.last = "disagrees" if sensor in off else "ok"
+                past.last = "inconsistent" if sensor in off else "ok"
             if self.verdicts[sensor][frame.index] != "ok":
                 continue
             self.verdicts[sensor][frame.index] = past.last
@@ -115,9 +117,9 @@ class SensorHealth:
                 past.scatters = [*past.scatters, judged[sensor].scatter][-HISTORY:]
         return self.believed(frame)
 
-    def without_suspects(self, frame: Frame) -> Frame:
+    def without_faulty(self, frame: Frame) -> Frame:
         """A frame that was looked at, without the sensors that disagreed last, unless no other sees anything."""
-        suspects = [s for s, past in self._past.items() if past.last == "disagrees"]
+        suspects = [s for s, past in self._past.items() if past.last == "inconsistent"]
         kept = _without(frame, suspects)
         return kept if any(bool((depth > 0).any()) for depth in kept.depths.values()) else frame
 
@@ -127,7 +129,7 @@ class SensorHealth:
 
     def _look(self, frame: Frame, sensor: str, depth: Tensor, thumbnail: Tensor) -> Verdict:
         past, seen = self._past[sensor], float((depth > 0).float().mean())
-        if seen <= self.config.min_readings * float(np.median(past.seen or [0.0])):
+        if seen <= self.config.min_valid_ratio * float(np.median(past.seen or [0.0])):
             return "missing"
         thin = depth[::_STRIDE, ::_STRIDE].clone()
         first = self._appearances.get(sensor)
@@ -174,16 +176,16 @@ def compare_depths(depth: Tensor, predicted: Tensor, max_depth_m: float) -> Comp
     return Comparison(bias, float(np.median(np.abs(errors - bias))), len(errors))
 
 
-def is_unusual(now: Comparison, biases: list[float], scatters: list[float], config: HealthConfig) -> bool:
+def is_unusual(now: Comparison, biases: list[float], scatters: list[float], config: FaultDetectionConfig) -> bool:
     """Whether a frame is off as none of those before it was: beyond all their biases, or far more scattered.
 
     All of them and not their spread: the bias of a sensor wanders with the depth that it sees, and a fault is a jump.
     """
     if len(biases) < MIN_HISTORY:
         return False
-    if not min(biases) - config.max_bias < now.bias < max(biases) + config.max_bias:
+    if not min(biases) - config.max_median_shift < now.bias < max(biases) + config.max_median_shift:
         return True
-    return now.scatter > max(config.max_scatter, SCATTER_TIMES * float(np.median(scatters)))
+    return now.scatter > max(config.max_mad, SCATTER_TIMES * float(np.median(scatters)))
 
 
 def repeats(depth: Tensor, earlier: Tensor) -> bool:

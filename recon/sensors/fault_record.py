@@ -18,7 +18,7 @@ MAX_STRETCHES = 5  # are named
 _WORDS: dict[Verdict, str] = {
     "missing": "no readings",
     "frozen": "frozen",
-    "disagrees": "at odds with the map",
+    "inconsistent": "at odds with the map",
 }
 
 
@@ -26,7 +26,7 @@ _WORDS: dict[Verdict, str] = {
 class Stretch:
     """Mapped frames in a row, `first` to `last`, in which a sensor had the same fault."""
 
-    why: Verdict
+    reason: Verdict
     first: int
     last: int
     frames: int
@@ -35,18 +35,18 @@ class Stretch:
 def stretches(verdicts: Mapping[int, Verdict]) -> list[Stretch]:
     """The faults of one sensor, from its verdicts by frame index."""
     found = []
-    for why, group in groupby(sorted(verdicts), key=lambda index: verdicts[index]):
+    for reason, group in groupby(sorted(verdicts), key=lambda index: verdicts[index]):
         indices = list(group)
-        if why != "ok":
-            found.append(Stretch(why, indices[0], indices[-1], len(indices)))
+        if reason != "ok":
+            found.append(Stretch(reason, indices[0], indices[-1], len(indices)))
     return found
 
 
 def describe(sensor: str, verdicts: Mapping[int, Verdict]) -> list[str]:
     """One sentence for each kind of fault that lasted; none for a sensor that was well."""
     sentences = []
-    for why, words in _WORDS.items():
-        all_of_it = [stretch for stretch in stretches(verdicts) if stretch.why == why]
+    for reason, words in _WORDS.items():
+        all_of_it = [stretch for stretch in stretches(verdicts) if stretch.reason == reason]
         long = [stretch for stretch in all_of_it if stretch.frames >= MIN_FRAMES]
         count = sum(stretch.frames for stretch in all_of_it)
         if long and len(long) <= MAX_STRETCHES:
@@ -55,7 +55,7 @@ def describe(sensor: str, verdicts: Mapping[int, Verdict]) -> list[str]:
             where = f"in {count} of {len(verdicts)} frames"
         else:
             continue
-        sentences.append(f"{sensor}: {words} {where}" + ("" if why == "missing" else ", left out"))
+        sentences.append(f"{sensor}: {words} {where}" + ("" if reason == "missing" else ", left out"))
     return sentences
 
 
@@ -64,7 +64,7 @@ def summarise(verdicts: Mapping[str, Mapping[int, Verdict]]) -> dict[str, dict[s
     return {
         sensor: {
             "frames": len(own),
-            "used": sum(verdict == "ok" for verdict in own.values()),
+            "used_frames": sum(verdict == "ok" for verdict in own.values()),
             "faults": [vars(stretch) for stretch in stretches(own)],
         }
         for sensor, own in verdicts.items()

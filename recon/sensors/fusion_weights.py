@@ -11,17 +11,19 @@ from ..core.config.uncle import FusionConfig
 from ..volume.tsdf_volume import FreeSpace
 
 WEIGHT_SCALE_M = 0.01  # a reading with this beta weighs 1
-WEIGHT_FLOOR = 0.5  # of the median weight of the image
-DOUBT_BETAS = 2.0  # a reading vouches for free space on the scale of this many betas before it
-COLOR_FREE_SPACE = 0.1  # of its weight: colour is compared around the surface only, what is far before it was not tried
+MIN_RELATIVE_WEIGHT = 0.5  # of the median weight of the image
+FREE_SPACE_SCALE_BETAS = 2.0  # a reading vouches for free space on the scale of this many betas before it
+PHOTOMETRIC_FREE_SPACE_FACTOR = (
+    0.1  # of its weight: colour is compared around the surface only, what is far before it was not tried
+)
 _ENOUGH_READINGS = 20_000  # for a median
 
 
-class ReadingWeights:
+class FusionWeights:
     """`worth` by sensor: what one of its readings counts beside one of colour with the same beta."""
 
     def __init__(self, config: FusionConfig, sensors: tuple[str, ...]) -> None:
-        self.blur_m = config.blur_voxels * config.voxel_size_m
+        self.blur_m = config.discretisation_voxels * config.voxel_size_m
         self.worth = dict.fromkeys(sensors, 1.0)
 
     def of(self, beta: Tensor, sensor: str | None = None) -> Tensor:
@@ -34,21 +36,21 @@ class ReadingWeights:
         worth = 1.0 if sensor is None else self.worth[sensor]
         return worth * WEIGHT_SCALE_M**2 / (beta.square() + self.blur_m**2).clamp(min=1e-8)
 
-    def of_image(self, beta: Tensor, valid: Tensor, sensor: str) -> tuple[Tensor, FreeSpace]:
-        """beta (...) metres of an image -> what its readings weigh, none below `WEIGHT_FLOOR` of their median.
+    def for_sensor(self, beta: Tensor, valid: Tensor, sensor: str) -> tuple[Tensor, FreeSpace]:
+        """beta (...) metres of an image -> what its readings weigh, none below `MIN_RELATIVE_WEIGHT` of their median.
 
         A silhouette is noisy in every view; without a floor the steadier background behind it would outvote it away.
         """
         weight = self.of(beta, sensor)
         typical = median_weight(weight, valid)
-        weight = weight.clamp(min=WEIGHT_FLOOR * typical)
-        return weight, FreeSpace.of(weight, typical, DOUBT_BETAS * beta)
+        weight = weight.clamp(min=MIN_RELATIVE_WEIGHT * typical)
+        return weight, FreeSpace.of(weight, typical, FREE_SPACE_SCALE_BETAS * beta)
 
     def of_color(self, beta: Tensor, valid: Tensor, frames: float) -> tuple[Tensor, FreeSpace]:
         """beta (...) metres of a view of colour that stands for a number of `frames` -> what its readings weigh."""
         weight = frames * self.of(beta)
-        free_space = FreeSpace.of(weight, median_weight(weight, valid), DOUBT_BETAS * beta)
-        return weight, replace(free_space, weight=COLOR_FREE_SPACE * free_space.weight)
+        free_space = FreeSpace.of(weight, median_weight(weight, valid), FREE_SPACE_SCALE_BETAS * beta)
+        return weight, replace(free_space, weight=PHOTOMETRIC_FREE_SPACE_FACTOR * free_space.weight)
 
 
 def median_weight(weight: Tensor, valid: Tensor) -> float:

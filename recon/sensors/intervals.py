@@ -11,13 +11,13 @@ from collections.abc import Mapping
 import numpy as np
 
 LEVELS = tuple(round(0.05 * step, 2) for step in range(1, 20))  # 5 to 95 %
-MIN_READINGS = 200
-StatedIntervals = Mapping[str, float]  # per cent, "5" to "95" -> half the width in betas
+MIN_MEASUREMENTS = 200
+ErrorQuantiles = Mapping[str, float]  # per cent, "5" to "95" -> half the width in betas
 
 
-def state_intervals(off_in_betas: np.ndarray) -> dict[str, float]:
+def fit_error_quantiles(off_in_betas: np.ndarray) -> dict[str, float]:
     """From |residual| / beta (N,); nothing if they are too few."""
-    if len(off_in_betas) < MIN_READINGS:
+    if len(off_in_betas) < MIN_MEASUREMENTS:
         return {}
     widths = np.quantile(off_in_betas, LEVELS)
     return {key_of(level): round(float(width), 3) for level, width in zip(LEVELS, widths, strict=True)}

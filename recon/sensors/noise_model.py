@@ -60,7 +60,7 @@ class PixelNetwork(nn.Module):
         self.config = config
         sizes = [len(features), config.hidden, config.hidden, outputs]
         self.layers = nn.ModuleList(nn.Linear(a, b) for a, b in pairwise(sizes))
-        seen = seen_features(config.features) if features is FEATURES else torch.ones(len(features))
+        seen = input_mask(config.inputs) if features is FEATURES else torch.ones(len(features))
         self.register_buffer("seen", seen, persistent=False)
         with torch.no_grad():
             for layer in self.layers:
@@ -97,12 +97,14 @@ class PixelNetwork(nn.Module):
         parts = features.reshape(-1, features.shape[-1]).split(PIXELS)
         return torch.cat([self(part) for part in parts]).view(depth.shape) * (depth > 0)
 
-    def learn(self, residuals: Residuals, steps: int, generator: torch.Generator, for_intervals: bool = False) -> float:
-        """Minimise the negative log-likelihood of what was observed, or, `for_intervals`, how badly it is covered.
+    def learn(
+        self, residuals: Residuals, steps: int, generator: torch.Generator, quantile_objective: bool = False
+    ) -> float:
+        """Minimise the negative log-likelihood of what was observed, or, `quantile_objective`, how badly it is covered.
 
         Returns the last mean likelihood, nats.
         """
-        nats, loss_of = torch.zeros(()), interval_loss if for_intervals else laplace_nll
+        nats, loss_of = torch.zeros(()), interval_loss if quantile_objective else laplace_nll
         if len(residuals) == 0:
             return math.nan
         residuals = residuals.to(self.device)
@@ -157,10 +159,10 @@ class NoiseModel(PixelNetwork):
         return self.image(depth, features)
 
 
-def seen_features(names: tuple[str, ...]) -> Tensor:
+def input_mask(names: tuple[str, ...]) -> Tensor:
     """(F,) 1 for the inputs called `names` and 0 for the others; all 1 if there are no names. Raises ConfigError."""
     unknown = [name for name in names if name not in FEATURES]
     if unknown:
         known = ", ".join(FEATURES)
-        raise ConfigError(f"setting uncertainty.features: no input is called {unknown[0]!r}; known inputs: {known}")
+        raise ConfigError(f"setting uncertainty.inputs: no input is called {unknown[0]!r}; known inputs: {known}")
     return torch.tensor([float(not names or name in names) for name in FEATURES])

@@ -103,7 +103,7 @@ class NoisePrior:
             )
         if entry["features"] != _seen(model):
             setting = json.dumps(entry["features"])
-            raise ConfigError(f"{where}: it sees other inputs; add --set 'uncertainty.features={setting}'")
+            raise ConfigError(f"{where}: it sees other inputs; add --set 'uncertainty.inputs={setting}'")
         if entry["hidden"] != model.config.hidden:
             raise ConfigError(
                 f"{where}: its layers are {entry['hidden']} wide, here {model.config.hidden}; "

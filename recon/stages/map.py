@@ -18,7 +18,7 @@ from ..core.events import Note, OnEvent, Warn, ignore
 from ..core.files import write_text
 from ..core.tensor_files import load_tensors, save_tensors
 from ..core.trajectory import Trajectory
-from ..methods.base import Job
+from ..methods.base import MapJob
 from ..methods.registry import make_map, trained_parts
 from ..run.checkpoint import Checkpoint
 from ..run.directory import RunDirectory
@@ -70,7 +70,7 @@ def map_run(
     _prepare(checkpoint, resume and not overwrite, on_event)
     torch.manual_seed(config.seed)
     started = time.time()
-    made = make_map(Job(run, frames, indices, config, checkpoint, prior, on_event))
+    made = make_map(MapJob(run, frames, indices, config, checkpoint, prior, on_event))
     facts |= made.facts
     save_tensors(run.field_path, made.field.to_state())
     _trajectory(frames, made.poses).save(run.trajectory_path)

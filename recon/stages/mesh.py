@@ -46,7 +46,7 @@ def mesh_run(
     mesh = make_mesh(load_field(run), run.camera, list(poses), voxel_size_m, clean, max_sigma_m, on_event)
     mesh.save(path)
     if out is None:
-        facts = {"voxel_size_m": voxel_size_m, "clean": clean, "min_confidence_m": max_sigma_m}
+        facts = {"voxel_size_m": voxel_size_m, "clean": clean, "max_sigma_m": max_sigma_m}
         facts |= {"vertices": len(mesh.vertices), "faces": len(mesh.faces)}
         run.finish_stage(STAGE, digest, started, facts)
     return MeshSummary(path, len(mesh.vertices), len(mesh.faces))

@@ -20,14 +20,7 @@ from ..run.manifest import Manifest
 from ..visualization.mesh_pictures import draw_mesh, load_reference, load_run_mesh, snapshot_views
 from ..visualization.metrics_table import grouped, metric_rows
 from ..visualization.report_camera import camera_section
-from ..visualization.report_charts import (
-    calibration_chart,
-    confidence_chart,
-    curves_chart,
-    noise_chart,
-    reliability_chart,
-    reliability_curves,
-)
+from ..visualization.report_charts import calibration_chart, curves_chart, noise_chart, reliability_chart, reliability_curves, vertex_sigma_chart
 from ..visualization.sensor_pictures import draw_sensors
 from ..visualization.uncertainty_table import summary_table
 
@@ -38,7 +31,7 @@ _SUMMARY = (  # order of the metrics
 _CAPTIONS = {
     "shaded": "Surface under a lamp at the camera.",
     "color": "Colours of the vertices.",
-    "confidence": "How far each vertex may be from the true surface: one sigma, as the map estimates it.",
+    "sigma": "How far each vertex may be from the true surface: one sigma, as the map estimates it.",
     "error": "Distance of each vertex to the ground truth.",
 }
 
@@ -110,15 +103,15 @@ def _mesh(run: RunDirectory, renderer: str, on_event: OnEvent) -> str:
         embed_picture(shot.save(run.snapshots_path).read_bytes(), _CAPTIONS[shot.mode], photographic=True)
         for shot in snapshots
     ]
-    return explain(counts) + "\n".join(pictures) + _confidence(run)
+    return explain(counts) + "\n".join(pictures) + _vertex_sigma(run)
 
 
-def _confidence(run: RunDirectory) -> str:
+def _vertex_sigma(run: RunDirectory) -> str:
     surface = (_read_json(run.metrics_path) or {}).get("surface")
-    scored = surface.get("confidence") if isinstance(surface, dict) else None
+    scored = surface.get("vertex_sigma") if isinstance(surface, dict) else None
     curves = scored.get("curves") if isinstance(scored, dict) else None
-    chart = confidence_chart(curves) if isinstance(curves, dict) else None
-    return _embed_chart(chart, "The confidence of the vertices against their distance to the true surface.")
+    chart = vertex_sigma_chart(curves) if isinstance(curves, dict) else None
+    return _embed_chart(chart, "The sigma of the vertices against their distance to the true surface.")
 
 
 def _sensors(run: RunDirectory, on_event: OnEvent) -> str:

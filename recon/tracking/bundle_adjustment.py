@@ -90,7 +90,7 @@ def adjust(
 
     Where points are held, each camera is placed by itself, and what it reads is its own.
     """
-    damping, share = 1e-4, share_of_readings(observations) if free_points else 1.0
+    damping, share = 1e-4, depth_information_factor(observations) if free_points else 1.0
     now = _linearise(camera, poses, points, observations, share, edges)
     for _ in range(iterations):
         step_poses, step_points = _solve(now, observations, edges, free_poses, free_points, damping)
@@ -122,7 +122,7 @@ def covariances(
     Where the pixels' whitened residuals spread by more than they should, the result grows as much. It does not shrink
     where they spread by less: how well pixels agree says nothing of errors that the readings share.
     """
-    system = _linearise(camera, poses, points, observations, share_of_readings(observations), edges)
+    system = _linearise(camera, poses, points, observations, depth_information_factor(observations), edges)
     free = np.flatnonzero(free_poses)
     damping = 1e-9
     S, _ = _reduced_system(
@@ -169,7 +169,7 @@ def residuals(
     return r, d_motion, d_point
 
 
-def share_of_readings(observations: Observations) -> np.ndarray:
+def depth_information_factor(observations: Observations) -> np.ndarray:
     """(M, S) share of its information that each depth reading counts: all that a sensor has of a point are one.
 
     A stereo matcher smooths the same corner in every frame. Were its readings independent, they would outvote the

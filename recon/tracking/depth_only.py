@@ -13,8 +13,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..core.se3 import motion_between
-from ..volume.tsdf_volume import FusionVolume
-from .frame_observations import rule_of_thumb
+from ..volume.tsdf_volume import TsdfVolume
+from .frame_observations import default_beta
 from .frame_to_frame import SurfaceView, view_term
 from .frame_to_model import SHARE, Readings, agreement, distances, scaled, surface_term
 from .pose_estimation import Term, is_weak, minimise, prior_term
@@ -32,7 +32,7 @@ _PASS_ITERATIONS = 6
 
 
 @dataclass(frozen=True)
-class Held:
+class SurfacePose:
     """A pose (4, 4) that the map confirms; its information (6, 6), the share `shown` (6, 6) of a motion that the
     surface shows rather than the expectation. `scale`: how far the readings lie from the surface, in sigmas that were
     promised; `fit`: in those of a sensor that is not known, a yardstick that does not change with what is learned."""
@@ -56,15 +56,15 @@ def expectation(last: np.ndarray, expected: np.ndarray, lost: int = 0) -> Term:
     return _belief(expected, sigma_m, sigma_rad)
 
 
-def on_surface(
-    volume: FusionVolume,
+def align_to_tsdf(
+    volume: TsdfVolume,
     readings: Readings,
     start: np.ndarray,
     prior: Term,
     *,
     tilt_rad: float = 0.0,
     sure: bool = False,
-) -> Held | None:
+) -> SurfacePose | None:
     """The pose near `start` that brings the readings onto the map; None if the map does not confirm it.
 
     By as much as normals are off, `tilt_rad`, a plane seems to show a motion along it. `sure`: the surface must do
@@ -85,44 +85,44 @@ def on_surface(
         return None
     # Motion must die out where nothing shows it; noise makes even a plain wall seem to hold the camera a little.
     shown = np.linalg.solve(information - (1 - _HELD) * seen + noise, _HELD * seen)
-    return Held(pose, information - (seen - certain), shown, readings.scale, _fit(volume, readings, pose))
+    return SurfacePose(pose, information - (seen - certain), shown, readings.scale, _fit(volume, readings, pose))
 
 
-def followed(
-    volume: FusionVolume,
+def track_from_keyframe(
+    volume: TsdfVolume,
     readings: Readings,
     view: SurfaceView,
     keyframe: Keyframe,
     last: np.ndarray,
     expected: np.ndarray,
     lost: int = 0,
-) -> Iterator[Held]:
+) -> Iterator[SurfacePose]:
     """Poses of a frame with this `view`, most likely first: as `expected` (4, 4) of a camera that was at `last`, or as
     if it had stopped there."""
     starts = (expected,) if np.array_equal(expected, last) else (expected, last)
     for start in starts:
         prior = expectation(last, start, lost)
-        near = near_view(keyframe, view, start, prior)
+        near = coarse_to_fine_icp(keyframe, view, start, prior)
         around = prior_term(near, prior(start).information)  # what the views showed is not to be taken back
-        held = on_surface(volume, readings, near, around, tilt_rad=_TILT_RAD)
+        held = align_to_tsdf(volume, readings, near, around, tilt_rad=_TILT_RAD)
         if held is not None:
             yield held
 
 
-def found_again(
-    volume: FusionVolume, readings: Readings, view: SurfaceView, keyframes: Sequence[Keyframe]
-) -> Iterator[Held]:
+def relocalise_by_surface(
+    volume: TsdfVolume, readings: Readings, view: SurfaceView, keyframes: Sequence[Keyframe]
+) -> Iterator[SurfacePose]:
     """Poses of a lost camera with this `view`, as if it stood where one of the `keyframes` was."""
     for keyframe in keyframes:
-        near = near_view(keyframe, view, keyframe[1], _belief(keyframe[1], _ANYWHERE_M, _ANYWHERE_RAD))
-        held = on_surface(
+        near = coarse_to_fine_icp(keyframe, view, keyframe[1], _belief(keyframe[1], _ANYWHERE_M, _ANYWHERE_RAD))
+        held = align_to_tsdf(
             volume, readings, near, _belief(near, _ANYWHERE_M, _ANYWHERE_RAD), tilt_rad=_TILT_RAD, sure=True
         )
         if held is not None:
             yield held
 
 
-def near_view(keyframe: Keyframe, view: SurfaceView, start: np.ndarray, prior: Term) -> np.ndarray:
+def coarse_to_fine_icp(keyframe: Keyframe, view: SurfaceView, start: np.ndarray, prior: Term) -> np.ndarray:
     """T_world_camera (4, 4) near `start` that brings a view and that of a keyframe together; `prior` holds what they do
     not show."""
     target, T_world_target = keyframe
@@ -150,6 +150,6 @@ def _less(information: np.ndarray, noise: np.ndarray) -> np.ndarray:
     return (vectors * np.maximum(values, 0)) @ vectors.T
 
 
-def _fit(volume: FusionVolume, readings: Readings, pose: np.ndarray) -> float:
+def _fit(volume: TsdfVolume, readings: Readings, pose: np.ndarray) -> float:
     off, which = distances(volume, readings, pose)
-    return float((off / rule_of_thumb(readings.points[which, 2])).median()) if len(off) else math.inf
+    return float((off / default_beta(readings.points[which, 2])).median()) if len(off) else math.inf

@@ -17,23 +17,26 @@ from ..core.frame import Frame
 from ..sensors.noise_model import NoiseModel
 from .frame_to_frame import SurfaceView
 from .frame_to_model import Readings
-from .landmarks import NONE, Sighting
+from .landmarks import NONE, FrameFeatures
 from .local_features import LocalFeatures, extract_features, no_features
 
 EDGE_SHARE = 0.5  # of the spread of depth around a feature that adds to its sigma
-UNTAUGHT = (0.005, 0.01)  # beta before a sensor is known: a + b depth^2, metres; between a Kinect and a stereo matcher
+DEFAULT_BETA = (
+    0.005,
+    0.01,
+)  # beta before a sensor is known: a + b depth^2, metres; between a Kinect and a stereo matcher
 VIEW_PIXELS = 19_200  # of a keyframe's picture of the surface
 _GREY = torch.tensor([0.299, 0.587, 0.114]) / 255
 
 
-def sight(
+def observe_features(
     frame: Frame,
     features: LocalFeatures,
     noise_features: dict[str, Tensor],
     noise: Sequence[NoiseModel | None],
     camera: Camera,
     common_px: float = 0.0,
-) -> Sighting:
+) -> FrameFeatures:
     """The features with the depth readings of all sensors there. The pose is not known yet."""
     limit = [camera.width - 1, camera.height - 1]
     u, v = np.clip(np.rint(features.uv), 0, limit).astype(np.int64).T
@@ -43,24 +46,24 @@ def sight(
         depths.append(depth[v, u].astype(np.float64))
         edges.append(_spread(depth)[v, u])
         inputs.append(noise_features[sensor].numpy()[v, u] if sensor in noise_features else np.zeros((len(u), 0)))
-    sighting = Sighting(
+    frame_features = FrameFeatures(
         frame.index, np.eye(4), features.uv, features.sigma_px, np.stack(depths, 1), np.zeros((len(u), len(depths))),
         np.stack(edges, 1), np.stack(inputs, 1).astype(np.float32), np.full(len(u), NONE),
         common_px,
     )  # fmt: skip
-    weigh(sighting, noise)
-    return sighting
+    weigh(frame_features, noise)
+    return frame_features
 
 
-def weigh(sighting: Sighting, noise: Sequence[NoiseModel | None]) -> None:
+def weigh(frame_features: FrameFeatures, noise: Sequence[NoiseModel | None]) -> None:
     """Set the sigmas of the depths by what the models of the sensors know now.
 
     A Laplace scale beta is a standard deviation of sqrt(2) beta; a feature beside a depth edge may lie on either side.
     """
     for column, model in enumerate(noise):
-        depth = torch.from_numpy(sighting.depths[:, column]).float()
-        beta = _beta(depth, torch.from_numpy(sighting.noise[:, column]), model).numpy()
-        sighting.sigmas_m[:, column] = np.hypot(math.sqrt(2) * beta, EDGE_SHARE * sighting.edges[:, column])
+        depth = torch.from_numpy(frame_features.depths[:, column]).float()
+        beta = _beta(depth, torch.from_numpy(frame_features.noise[:, column]), model).numpy()
+        frame_features.sigmas_m[:, column] = np.hypot(math.sqrt(2) * beta, EDGE_SHARE * frame_features.edges[:, column])
 
 
 @dataclass(frozen=True)
@@ -108,7 +111,7 @@ def surface_view(
     return SurfaceView(thinned, thinned.rays().numpy() * depth[..., None], normal, sigma)
 
 
-def readings_of(
+def sample_depth_points(
     frame: Frame,
     noise_features: dict[str, Tensor],
     noise: Sequence[NoiseModel | None],
@@ -116,8 +119,8 @@ def readings_of(
     config: TrackingConfig,
     max_depth_m: float,
 ) -> Readings:
-    """About `config.readings` depth readings of each sensor, on a regular grid of pixels."""
-    stride = max(1, round(math.sqrt(camera.width * camera.height / config.readings)))
+    """About `config.depth_samples` depth readings of each sensor, on a regular grid of pixels."""
+    stride = max(1, round(math.sqrt(camera.width * camera.height / config.depth_samples)))
     grid = (slice(stride // 2, None, stride), slice(stride // 2, None, stride))
     rays, points, betas = camera.rays()[grid], [], []
     grey = cv2.blur(frame.color.numpy(), (5, 5)) if config.color else None  # about what a voxel averages
@@ -135,16 +138,16 @@ def readings_of(
     return Readings(joined, directions, torch.cat(betas), torch.cat(shades) if shades else None)
 
 
-def rule_of_thumb(depth: Tensor) -> Tensor:
+def default_beta(depth: Tensor) -> Tensor:
     """depth (N,) metres -> beta (N,) metres of a sensor that is not known."""
-    return UNTAUGHT[0] + UNTAUGHT[1] * depth**2
+    return DEFAULT_BETA[0] + DEFAULT_BETA[1] * depth**2
 
 
 @torch.no_grad()
 def _beta(depth: Tensor, inputs: Tensor | None, model: NoiseModel | None) -> Tensor:
     """depth (N,) metres and inputs (N, F) -> beta (N,) metres."""
     if model is None or inputs is None or not model.taught:
-        return rule_of_thumb(depth)
+        return default_beta(depth)
     device = next(model.parameters()).device
     return model(inputs.to(device)).cpu()
 

@@ -13,9 +13,9 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from ..volume.tsdf_volume import FusionVolume
+from ..volume.tsdf_volume import TsdfVolume
 from .pose_estimation import Linearised, Term
-from .tsdf_lookup import look_compiled, look_tensors
+from .tsdf_lookup import query_numba, query_torch
 
 SHARE = 0.05  # how much of its information a residual counts: neighbours share most of their error
 COLOR_SIGMA = 0.08  # of 0..1: what colours of the map and of a frame differ by
@@ -43,7 +43,7 @@ class Readings:
         return Readings(self.points.to(device), self.directions.to(device), self.beta.to(device), grey, self.scale)
 
 
-def surface_term(volume: FusionVolume, readings: Readings, share: float = SHARE, scale: float = ROBUST_SCALE) -> Term:
+def surface_term(volume: TsdfVolume, readings: Readings, share: float = SHARE, scale: float = ROBUST_SCALE) -> Term:
     """The term of `readings` in the sum that `minimise` takes."""
 
     def linearise(pose: np.ndarray) -> Linearised:
@@ -60,10 +60,10 @@ def surface_term(volume: FusionVolume, readings: Readings, share: float = SHARE,
     return linearise
 
 
-def surface_residuals(volume: FusionVolume, readings: Readings, pose: np.ndarray) -> tuple[Tensor, Tensor]:
+def surface_residuals(volume: TsdfVolume, readings: Readings, pose: np.ndarray) -> tuple[Tensor, Tensor]:
     """Whitened residuals (K,) of distance, then of colour, where the map is known, and their derivatives (K, 6)."""
     T = torch.tensor(pose, dtype=torch.float32, device=readings.points.device)
-    look = look_compiled if T.device.type == "cpu" else look_tensors
+    look = query_numba if T.device.type == "cpu" else query_torch
     seen = look(volume, readings.points, T)
     points = readings.points[seen.kept]
     along = (seen.gradient * (readings.directions[seen.kept] @ T[:3, :3].T)).sum(-1)
@@ -78,7 +78,7 @@ def surface_residuals(volume: FusionVolume, readings: Readings, pose: np.ndarray
     return torch.cat(residuals), torch.cat([d_camera, torch.linalg.cross(points, d_camera)], 1)
 
 
-def scaled(volume: FusionVolume, readings: Readings, pose: np.ndarray) -> Readings:
+def scaled(volume: TsdfVolume, readings: Readings, pose: np.ndarray) -> Readings:
     """The readings with sigmas as small as the distances at `pose` show them to be.
 
     A noise model that is still learning promises too little; which reading is better than which it knows earlier than
@@ -90,7 +90,7 @@ def scaled(volume: FusionVolume, readings: Readings, pose: np.ndarray) -> Readin
     return replace(readings, scale=readings.scale * min(1.0, max(LEAST_SCALE, 1.48 * float(r.abs().median()))))
 
 
-def agreement(volume: FusionVolume, readings: Readings, pose: np.ndarray) -> tuple[float, float]:
+def agreement(volume: TsdfVolume, readings: Readings, pose: np.ndarray) -> tuple[float, float]:
     """Share of the readings that lie where the map is known, and the share of those within 3 sigma of the surface."""
     if len(readings) == 0:
         return 0.0, 0.0
@@ -98,8 +98,8 @@ def agreement(volume: FusionVolume, readings: Readings, pose: np.ndarray) -> tup
     return len(r) / len(readings), float((r.abs() < 3).float().mean()) if len(r) else 0.0
 
 
-def distances(volume: FusionVolume, readings: Readings, pose: np.ndarray) -> tuple[Tensor, Tensor]:
+def distances(volume: TsdfVolume, readings: Readings, pose: np.ndarray) -> tuple[Tensor, Tensor]:
     """How far readings lie from the surface, (K,) metres, where the map is known, and which (K,) they are."""
     T = torch.tensor(pose, dtype=torch.float32, device=readings.points.device)
-    seen = look_tensors(volume, readings.points, T)
+    seen = query_torch(volume, readings.points, T)
     return seen.sdf.abs(), seen.kept

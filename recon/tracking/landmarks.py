@@ -14,7 +14,7 @@ NONE = -1
 
 
 @dataclass
-class Sighting:
+class FrameFeatures:
     """The features of one frame. `pose` is the present estimate of T_world_camera (4, 4); per feature:
 
     uv (N, 2) and sigma_px (N,) pixels; depths and sigmas_m (N, S) metres by sensor, depth 0 = no reading;
@@ -53,7 +53,7 @@ class Sighting:
         """Features `rows` (K,) as observations of `points` (K,) by `camera`."""
         return Observations(
             np.full(len(rows), camera), points, self.uv[rows], self.sigma_px[rows], self.depths[rows],
-            self.sigmas_m[rows], share_of_pixels(self.sigma_px[rows], self.common_px),
+            self.sigmas_m[rows], pixel_information_factor(self.sigma_px[rows], self.common_px),
         )  # fmt: skip
 
     def to_state(self) -> dict[str, Any]:
@@ -61,11 +61,11 @@ class Sighting:
         return {n: torch.from_numpy(v) if isinstance(v, np.ndarray) else v for n, v in vars(self).items()}
 
     @staticmethod
-    def from_state(state: dict[str, Any]) -> Sighting:
-        return Sighting(**{n: v.numpy() if isinstance(v, torch.Tensor) else v for n, v in state.items()})
+    def from_state(state: dict[str, Any]) -> FrameFeatures:
+        return FrameFeatures(**{n: v.numpy() if isinstance(v, torch.Tensor) else v for n, v in state.items()})
 
 
-def share_of_pixels(sigma_px: np.ndarray, common_px: float) -> np.ndarray:
+def pixel_information_factor(sigma_px: np.ndarray, common_px: float) -> np.ndarray:
     """(N,) share of its information that each pixel of a frame counts if all are off by `common_px` together: what they
     say in common is then no surer than that, however many they are."""
     return 1 / (1 + len(sigma_px) * (common_px / sigma_px) ** 2)
@@ -99,20 +99,20 @@ class Landmarks:
         """The numbers under which `numbers` live on; NONE stays."""
         return np.where(numbers >= 0, self.alias[numbers], NONE) if len(self) else numbers
 
-    def seen_by(self, sighting: Sighting) -> np.ndarray:
+    def seen_by(self, frame_features: FrameFeatures) -> np.ndarray:
         """Numbers (K,) of the landmarks of a frame, distinct, increasing."""
-        current = self.current(sighting.landmark)
+        current = self.current(frame_features.landmark)
         return np.unique(current[current >= 0])
 
 
-def observations_of(sightings: list[Sighting], landmarks: Landmarks) -> tuple[Observations, np.ndarray]:
+def observations_of(frames: list[FrameFeatures], landmarks: Landmarks) -> tuple[Observations, np.ndarray]:
     """Observations of those frames, cameras numbered as in the list and points 0..P; and the landmark (P,) of each."""
     parts = []
-    for position, sighting in enumerate(sightings):
-        number = landmarks.current(sighting.landmark)
+    for position, frame_features in enumerate(frames):
+        number = landmarks.current(frame_features.landmark)
         _, first = np.unique(number, return_index=True)  # a point is seen once in an image
         rows = first[number[first] >= 0]
-        parts.append(sighting.observations(rows, number[rows], position))
+        parts.append(frame_features.observations(rows, number[rows], position))
     columns = [np.concatenate([getattr(p, name) for p in parts]) for name in Observations.__dataclass_fields__]
     joined = Observations(*columns)
     numbers, points = np.unique(joined.point, return_inverse=True)

@@ -8,7 +8,7 @@ import numpy as np
 
 from ..core.camera import Camera
 from ..core.se3 import inverse
-from .landmarks import Landmarks, Sighting
+from .landmarks import FrameFeatures, Landmarks
 from .local_features import match
 from .pose_estimation import feature_term, minimise, ransac_pose
 
@@ -31,7 +31,7 @@ class Place:
 
 def recognise(
     camera: Camera,
-    view: Sighting,
+    view: FrameFeatures,
     descriptors: np.ndarray,
     candidates: dict[int, np.ndarray],
     landmarks: Landmarks,

@@ -17,7 +17,7 @@ from .bundle_adjustment import Observations, adjust, residuals, robust_weights, 
 AROUND = ((-1, 1), (-2, 2), (-2, -1), (1, 2))  # pairs of neighbours that tell where a frame between or beside them is
 NEAR = 3  # frames: neighbours that are further away tell nothing
 SURPRISE = 10.0  # usual distances from what is expected
-OUTVOTES = 4.0  # cost of a reading that half fits: what is expected counts no more than that for each
+PRIOR_COST_PER_OBSERVATION = 4.0  # cost of a reading that half fits: what is expected counts no more than that for each
 _SMALLEST = (5e-4, 5e-4)  # metres and radians: usual distances are taken to be no less
 _LEAST_FRAMES = 10  # that tell how a camera usually moves
 _LEAST_READINGS = 12  # that place a frame
@@ -25,7 +25,7 @@ _LIMITS = (15.0, 5.0)  # sigmas: observations beyond are left out, first and the
 _ITERATIONS = 10
 
 
-def placed_again(
+def reoptimise_outliers(
     camera: Camera,
     poses: np.ndarray,
     times: np.ndarray,
@@ -106,4 +106,4 @@ def _agreeing(camera, pose, points, seen) -> int:
 def _cost(camera, pose, expected, points, seen, usual) -> float:
     off = np.linalg.norm(nearest(pose[None], expected[:, None])[0] / usual)
     r, _, _ = residuals(camera, pose[None][seen.camera], points[seen.point], seen)
-    return robust_weights(r, seen.share_px)[1] + min(off**2, OUTVOTES * len(seen))
+    return robust_weights(r, seen.share_px)[1] + min(off**2, PRIOR_COST_PER_OBSERVATION * len(seen))

@@ -10,7 +10,7 @@ from numba import njit
 from torch import Tensor
 
 from ..volume.sparse_grid import CORNERS, row_of
-from ..volume.tsdf_volume import MIN_SIGMA_M, SHARED_ERROR, FusionVolume
+from ..volume.tsdf_volume import ERROR_CORRELATION, MIN_SIGMA_M, TsdfVolume
 
 _COLUMNS = 9  # of what the compiled loop finds: sdf, gradient, sigma, grey, its gradient
 
@@ -28,18 +28,18 @@ class Seen:
     grey_gradient: Tensor
 
 
-def look_compiled(volume: FusionVolume, points: Tensor, T_world_points: Tensor) -> Seen:
-    """The map at points (N, 3), on the CPU. The same as `look_tensors`, in one pass."""
+def query_numba(volume: TsdfVolume, points: Tensor, T_world_points: Tensor) -> Seen:
+    """The map at points (N, 3), on the CPU. The same as `query_torch`, in one pass."""
     found, kept = np.empty((len(points), _COLUMNS), np.float32), np.empty(len(points), np.int64)
     tables = (volume.sums.numpy(), volume.color_sums.numpy(), *volume.grid.lookup())
     where = (points.numpy(), T_world_points[:3, :3].numpy(), T_world_points[:3, 3].numpy())
-    count = _look(*where, *tables, volume.grid.voxel_size_m, SHARED_ERROR, MIN_SIGMA_M, found, kept)
+    count = _look(*where, *tables, volume.grid.voxel_size_m, ERROR_CORRELATION, MIN_SIGMA_M, found, kept)
     values = torch.from_numpy(found[:count])
     sdf, gradient, sigma, grey, slope = values.split([1, 3, 1, 1, 3], 1)
     return Seen(torch.from_numpy(kept[:count]), sdf[:, 0], gradient, sigma[:, 0], grey[:, 0], slope)
 
 
-def look_tensors(volume: FusionVolume, points: Tensor, T_world_points: Tensor) -> Seen:
+def query_torch(volume: TsdfVolume, points: Tensor, T_world_points: Tensor) -> Seen:
     """The map at points (N, 3) on any device, as plain tensor operations; the oracle of the compiled loop."""
     world = points @ T_world_points[:3, :3].T + T_world_points[:3, 3]
     rows, weights = volume.grid.trilinear(world)

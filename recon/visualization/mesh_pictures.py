@@ -1,4 +1,4 @@
-"""Pictures of a mesh: shaded, in its colours, by its confidence, or by its distance to a ground truth."""
+"""Pictures of a mesh: shaded, in its colours, by the sigma of its vertices, or by its distance to a ground truth."""
 
 from __future__ import annotations
 
@@ -22,15 +22,15 @@ from .raycast_renderer import Pictures
 from .shading import Geometry, Layer
 from .views import DEFAULT_SIZE, View, finite_poses, mesh_views, run_views
 
-MODES = ("shaded", "color", "confidence", "error")
+MODES = ("shaded", "color", "sigma", "error")
 RENDERERS = ("auto", "offscreen", "raycast")
 ERROR_CLIP_M = 0.05
 _GREY = 222
-_CONTRAST = {"shaded": 1.0, "color": 0.25, "confidence": 0.55, "error": 0.55}
+_CONTRAST = {"shaded": 1.0, "color": 0.25, "sigma": 0.55, "error": 0.55}
 _TITLES = {
     "shaded": "Surface",
     "color": "Colour",
-    "confidence": "Confidence: expected distance to the true surface",
+    "sigma": "Sigma: expected distance to the true surface",
     "error": "Error: distance to the ground truth",
 }
 
@@ -60,7 +60,7 @@ def available_modes(mesh: Mesh, reference: Mesh | None) -> tuple[str, ...]:
     has = {
         "shaded": True,
         "color": mesh.colors is not None,
-        "confidence": mesh.confidence is not None,
+        "sigma": mesh.sigma is not None,
         "error": reference is not None,
     }
     return tuple(mode for mode in MODES if has[mode])
@@ -95,16 +95,16 @@ def paint(mesh: Mesh, mode: str, reference: Mesh | None = None) -> tuple[Layer, 
         if mesh.colors is None:
             raise DataError("the mesh has no vertex colours, so there is no `color` picture; ask for --mode shaded")
         return Layer(mode, mesh.colors, _CONTRAST[mode]), None
-    values, scale = _confidence(mesh) if mode == "confidence" else _error(mesh, reference)
+    values, scale = _vertex_sigma(mesh) if mode == "sigma" else _error(mesh, reference)
     return Layer(mode, scale.paint(values), _CONTRAST[mode]), scale
 
 
-def _confidence(mesh: Mesh) -> tuple[np.ndarray, ColorScale]:
-    if mesh.confidence is None:
-        raise DataError("the mesh has no confidence, so there is no such picture; `uncle mesh` writes meshes that have")
-    finite = mesh.confidence[np.isfinite(mesh.confidence)]
+def _vertex_sigma(mesh: Mesh) -> tuple[np.ndarray, ColorScale]:
+    if mesh.sigma is None:
+        raise DataError("the mesh has no sigma, so there is no such picture; `uncle mesh` writes meshes that have")
+    finite = mesh.sigma[np.isfinite(mesh.sigma)]
     highest = float(np.percentile(finite, 98)) if len(finite) else 0.0
-    return mesh.confidence, ColorScale("1 sigma [cm]", 0.0, max(highest, 1e-3), "viridis_r", 100.0)
+    return mesh.sigma, ColorScale("1 sigma [cm]", 0.0, max(highest, 1e-3), "viridis_r", 100.0)
 
 
 def _error(mesh: Mesh, reference: Mesh | None) -> tuple[np.ndarray, ColorScale]:

@@ -99,15 +99,15 @@ def reliability_chart(curves: Mapping[str, Any]) -> bytes | None:
 
 
 def reliability_curves(metrics: Mapping[str, Any]) -> dict[str, Any]:
-    """What `reliability_chart` draws of a `metrics.json`: the curves of every sensor and of the mesh's confidence."""
+    """What `reliability_chart` draws of a `metrics.json`: the curves of every sensor and of the mesh's vertices."""
     sensors, surface = metrics.get("uncertainty"), metrics.get("surface")
-    confidence = surface.get("confidence") if isinstance(surface, dict) else None
-    scored = {**(sensors if isinstance(sensors, dict) else {}), "vertices of the mesh": confidence}
+    vertex_sigma = surface.get("vertex_sigma") if isinstance(surface, dict) else None
+    scored = {**(sensors if isinstance(sensors, dict) else {}), "vertices of the mesh": vertex_sigma}
     return {name: found["curves"] for name, found in scored.items() if isinstance(found, dict) and "curves" in found}
 
 
-def confidence_chart(curves: Mapping[str, Any]) -> bytes | None:
-    """Coverage, and promised against met distance, of the confidence of vertices as `uncle eval` saved them; PNG."""
+def vertex_sigma_chart(curves: Mapping[str, Any]) -> bytes | None:
+    """Coverage, and promised against met distance, of the sigma of vertices as `uncle eval` saved them; PNG."""
     names = ("nominal", "empirical", "bin_sigma_m", "bin_distance_rms_m")
     if not all(_is_numeric(curves.get(name)) for name in names):
         return None

@@ -9,7 +9,7 @@ from ..evaluation.sensor_summary import SensorUncertainty
 
 if TYPE_CHECKING:
     from ..evaluation.uncertainty_calibration import UncertaintyMetrics
-    from ..evaluation.vertex_sigma_metrics import ConfidenceMetrics
+    from ..evaluation.vertex_sigma_metrics import VertexSigmaMetrics
 
 Rows = list[tuple[str, str, str]]
 
@@ -34,8 +34,8 @@ def uncertainty_rows(metrics: UncertaintyMetrics) -> Rows:
     return [row for row in rows if row[1] != "-" or row[0].startswith("rank")]
 
 
-def confidence_rows(metrics: ConfidenceMetrics) -> Rows:
-    """Of the confidence of vertices; in %, cm and sigmas."""
+def vertex_sigma_rows(metrics: VertexSigmaMetrics) -> Rows:
+    """Of the sigma of vertices; in %, cm and sigmas."""
     lengths = f"{_cm(metrics.median_distance_m)} / {_cm(metrics.median_sigma_m)}"
     return [
         ("vertices within 1 sigma (right: 68.3)", _percent(metrics.coverage_1_sigma), "%"),

@@ -26,14 +26,14 @@ _SURE = 17.0  # exp(-17) is nothing beside 1 in single precision
 class Observation:
     """A depth image as the map takes it; images (H, W) float32, metres, of weights, or None.
 
-    `weight`: of each reading near its surface, None = 1. `free_weight` and `doubt_m`: of free space far before the
-    reading, and the distance on which it is reached; None = `weight` there, too. color: (H, W, 3) uint8.
+    `weight`: of each reading near its surface, None = 1. `free_weight` and `free_space_scale_m`: of free space
+    far before the reading, and the distance on which it is reached; None = `weight` there, too. color: (H, W, 3) uint8.
     """
 
     depth: Tensor
     weight: Tensor | None
     free_weight: Tensor | None
-    doubt_m: Tensor | None
+    free_space_scale_m: Tensor | None
     color: Tensor | None
     T_camera_world: Tensor
 
@@ -52,7 +52,7 @@ def integrate(
 ) -> None:  # fmt: skip
     """Add (`sign` 1) or take out (-1) an observation in place.
 
-    sums, color_sums (R, 4) as in `FusionVolume`; ids (M,) blocks in view; corners (M, 3) first samples of those, world,
+    sums, color_sums (R, 4) as in `TsdfVolume`; ids (M,) blocks in view; corners (M, 3) first samples of those, world,
     metres; steps (512, 3) offsets of the samples of a block.
     """
     if sums.device.type == "cpu":
@@ -70,9 +70,9 @@ def integrate_tensors(
     for part, corner in chunks:
         rows, pixels, sdf = _readings(part, corner, steps, seen, camera, bounds)
         w = torch.ones_like(sdf) if seen.weight is None else seen.weight.view(-1)[pixels]
-        if seen.free_weight is not None and seen.doubt_m is not None:
+        if seen.free_weight is not None and seen.free_space_scale_m is not None:
             beyond = sdf - bounds.truncation_m
-            sure = 1 - torch.exp(-beyond.clamp(min=0) / seen.doubt_m.view(-1)[pixels].clamp(min=1e-6))
+            sure = 1 - torch.exp(-beyond.clamp(min=0) / seen.free_space_scale_m.view(-1)[pixels].clamp(min=1e-6))
             w = torch.where(beyond >= 0, seen.free_weight.view(-1)[pixels] * sure, w)
         sdf = sdf.clamp(max=bounds.truncation_m)
         sums[rows] += sign * torch.stack([w, w * sdf, w * sdf * sdf, torch.ones_like(sdf)], -1)
@@ -112,7 +112,7 @@ def _integrate_compiled(sums, color_sums, ids, corners, steps, seen, camera, bou
     given = (
         (steps @ rotation.T).numpy(),
         *(_image(seen.depth if image is None else image) for image in (seen.depth, seen.weight)),
-        *(_image(nothing if image is None else image) for image in (seen.free_weight, seen.doubt_m)),
+        *(_image(nothing if image is None else image) for image in (seen.free_weight, seen.free_space_scale_m)),
         np.zeros((0, 0, 3), np.uint8) if seen.color is None else np.ascontiguousarray(seen.color.numpy()),
         seen.weight is not None,
         np.array([camera.fx, camera.fy, camera.cx + 0.5, camera.cy + 0.5], np.float32),

@@ -1,4 +1,4 @@
-"""From a map to a mesh: the surface that the cameras saw, with colour and confidence at each vertex."""
+"""From a map to a mesh: the surface that the cameras saw, with colour and sigma at each vertex."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def make_mesh(
     """Iso-surface of `field` at `voxel_size_m` (default: its own).
 
     clean          keep only what some camera of `T_world_camera` saw, without floaters
-    max_sigma_m    leave out vertices whose confidence (1 sigma, metres) is worse
+    max_sigma_m    leave out vertices whose sigma (metres) is worse
     Raises DataError if nothing is left.
     """
     grid, samples = _sampled(field, voxel_size_m)
@@ -52,12 +52,12 @@ def make_mesh(
         if not trusted[faces].all(1).any():
             raise DataError(
                 f"no part of the surface is as sure as {max_sigma_m * 100:g} cm: half of its vertices are surer than "
-                f"{np.median(sigma) * 100:.2f} cm; give a larger --min-confidence"
+                f"{np.median(sigma) * 100:.2f} cm; give a larger --max-sigma"
             )
         vertices, faces, colors, sigma = _keep(vertices, faces, trusted, colors, sigma)
     if not len(faces):
         raise DataError(
-            "the map has no surface: too few readings agree; map more frames, or lower --set fusion.min_readings"
+            "the map has no surface: too few readings agree; map more frames, or lower --set fusion.min_observations"
         )
     return Mesh(vertices, faces, colors, sigma)
 

@@ -16,7 +16,7 @@ from torch import Tensor, nn
 from ..core.config.uncle import FieldConfig
 from .interpolation import weighted_rows
 from .sparse_grid import ROWS, SparseGrid, unique_blocks
-from .tsdf_volume import FusionVolume
+from .tsdf_volume import TsdfVolume
 
 ACTIVE_VOXELS = 3.0  # samples this close to the surface can be moved
 NO_WEIGHT = 1e-4  # a corner that weighs less need not be known: vertices lie on the edges of cells, also of the last
@@ -69,20 +69,20 @@ class NeuralField(nn.Module):
     @classmethod
     def from_fusion(
         cls,
-        volume: FusionVolume,
-        min_readings: float,
+        volume: TsdfVolume,
+        min_observations: float,
         config: FieldConfig,
         generator: torch.Generator,
         weight_scale_m: float | None = None,
     ) -> NeuralField:
-        """The field that equals the fused map; samples with fewer than `min_readings` are unknown to it.
+        """The field that equals the fused map; samples with fewer than `min_observations` are unknown to it.
 
-        `weight_scale_m`: weights of the map state the noise of readings, as in `Samples.stated_sigma`.
+        `weight_scale_m`: weights of the map state the noise of readings, as in `Samples.propagated_sigma`.
         """
         fused = volume.samples()
-        sigma = fused.sigma if weight_scale_m is None else fused.stated_sigma(weight_scale_m)
+        sigma = fused.sigma if weight_scale_m is None else fused.propagated_sigma(weight_scale_m)
         base = torch.cat([fused.sdf[:, None], fused.colors], 1)
-        return cls(volume.grid, base, sigma, volume.counts() >= min_readings, config, generator)
+        return cls(volume.grid, base, sigma, volume.counts() >= min_observations, config, generator)
 
     def forward(self, points: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         """(N, 3) world points -> sdf (N,) metres, rgb (N, 3), known (N,) bool; sdf and rgb are 0 where unknown."""

@@ -14,7 +14,7 @@ from .sparse_grid import SparseGrid
 
 
 @dataclass(frozen=True)
-class MapSurface:
+class TsdfSurface:
     """Distances sdf (R,) metres of the samples of a grid and which are known (R,); how far rays go, and their steps."""
 
     grid: SparseGrid
@@ -39,7 +39,7 @@ class MapSurface:
         hit = self.along(rays.reshape(-1, 3), torch.from_numpy(np.asarray(T_world_camera)).float())
         return hit.view(rays.shape[:2]).cpu().numpy()
 
-    def typical_distance(self, camera: Camera, T_world_camera: np.ndarray) -> float | None:
+    def median_depth(self, camera: Camera, T_world_camera: np.ndarray) -> float | None:
         """Median depth from there, metres; None where nothing is seen."""
         depth = self.depth_from(camera, T_world_camera, stride=16)
         return float(np.median(depth[depth > 0])) if (depth > 0).any() else None

@@ -18,7 +18,7 @@ from .sparse_grid import BLOCK, ROWS, SparseGrid
 
 _TILE = 16  # pixels: occlusion is decided on tiles
 _SPARE = 1.5
-SHARED_ERROR = 0.15
+ERROR_CORRELATION = 0.15
 MIN_SIGMA_M = 1e-3
 MAX_SIGMA_M = 1.0  # of what is hardly known: a corner that weighs nothing must not decide over a vertex
 ALL = slice(None)
@@ -26,20 +26,20 @@ ALL = slice(None)
 
 @dataclass(frozen=True)
 class FreeSpace:
-    """What the readings of an image say about the space before them: weight (H, W), and doubt_m (H, W) metres.
+    """What the readings of an image say about the space before them: weight (H, W), and scale_m (H, W) metres.
 
     That nothing is there is a different claim than where the surface is. It is the surer the further the sample lies
-    before the reading, on the scale of the reading's own noise: weight * (1 - exp(-distance / doubt_m)).
+    before the reading, on the scale of the reading's own noise: weight * (1 - exp(-distance / scale_m)).
     """
 
     weight: Tensor
-    doubt_m: Tensor
+    scale_m: Tensor
 
     @staticmethod
-    def of(weight: Tensor, typical: float, doubt_m: Tensor) -> FreeSpace:
+    def of(weight: Tensor, typical: float, scale_m: Tensor) -> FreeSpace:
         """A noisy reading still knows that it looked through: its `weight` is drawn half way (geometric mean) to the
         `typical` one of its image."""
-        return FreeSpace((weight * typical).sqrt(), doubt_m)
+        return FreeSpace((weight * typical).sqrt(), scale_m)
 
 
 @dataclass(frozen=True)
@@ -65,20 +65,20 @@ class Samples:
         """(...) standard error of the mean distance, metres.
 
         Readings of one place share part of their error (same sensor, same texture), so their number helps only up to a
-        point: the variance falls to `SHARED_ERROR` of one reading's, never below. Never better than `MIN_SIGMA_M`.
+        point: the variance falls to `ERROR_CORRELATION` of one reading's, never below. Never better than `MIN_SIGMA_M`.
         """
-        gain = SHARED_ERROR + (1 - SHARED_ERROR) / self.sums[..., 3].clamp(min=1)
+        gain = ERROR_CORRELATION + (1 - ERROR_CORRELATION) / self.sums[..., 3].clamp(min=1)
         return (self.spread.square() * gain).sqrt().clamp(min=MIN_SIGMA_M)
 
-    def stated_sigma(self, weight_scale_m: float) -> Tensor:
+    def propagated_sigma(self, weight_scale_m: float) -> Tensor:
         """(...) standard error of the mean distance, metres, where weights are `weight_scale_m`^2 over the beta^2 of a
-        reading and what a voxel blurs, times what it is worth (`ReadingWeights`).
+        reading and what a voxel blurs, times what it is worth (`FusionWeights`).
 
         A Laplace law has the variance 2 beta^2; the mean of what is independent has that over the sum of the weights.
         What readings of one place share, a part of their spread, stays however many there are.
         """
         independent = 2 * weight_scale_m**2 / self.sums[..., 0].clamp(min=1e-12)
-        return (independent + SHARED_ERROR * self.spread.square()).sqrt().clamp(MIN_SIGMA_M, MAX_SIGMA_M)
+        return (independent + ERROR_CORRELATION * self.spread.square()).sqrt().clamp(MIN_SIGMA_M, MAX_SIGMA_M)
 
     @property
     def colors(self) -> Tensor:
@@ -87,7 +87,7 @@ class Samples:
         return torch.where(weight > 0, self.color_sums[..., 1:] / weight.clamp(min=1e-12) / 255, 0.5)
 
 
-class FusionVolume:
+class TsdfVolume:
     """Running sums on a sparse grid.
 
     sums (R, 4): weight, weight * sdf, weight * sdf^2, number of readings; color_sums (R, 4): weight, weight * rgb.
@@ -136,20 +136,21 @@ class FusionVolume:
         color: Tensor | None,
         T_world_camera: Tensor,
         free_space: FreeSpace | None = None,
-        take_out_of: int | None = None,
+        deintegrate_block_count: int | None = None,
     ) -> None:
         """Add one depth image: depth (H, W) metres, weight (H, W) or None = 1, color (H, W, 3) uint8 or None.
 
-        With `take_out_of`, the number of blocks there were when the same image was added, it is taken out again.
+        With `deintegrate_block_count`, the number of blocks there were when the same image was added, the image is
+        subtracted again.
 
         Every allocated block in view takes part, so that a reading also speaks for the free space before it. How
         loudly it does is its weight again, or, with `free_space`, what that says.
         """
         T_camera_world = torch.linalg.inv(T_world_camera.double()).float()
         sign, visible = 1.0, self._visible(depth, T_camera_world)
-        if take_out_of is not None:
-            sign, visible = -1.0, visible[visible < take_out_of]
-        free = (None, None) if free_space is None or weight is None else (free_space.weight, free_space.doubt_m)
+        if deintegrate_block_count is not None:
+            sign, visible = -1.0, visible[visible < deintegrate_block_count]
+        free = (None, None) if free_space is None or weight is None else (free_space.weight, free_space.scale_m)
         integrate(
             self.sums, self.color_sums, visible, self.grid.blocks[visible].float() * self.grid.block_size_m,
             self.grid.inner_offsets(), Observation(depth, weight, *free, color, T_camera_world), self.camera,

@@ -23,7 +23,7 @@ def done(tmp_path_factory):
     make_dataset(place / "room", frames=8, size=64, seed=1, sensors=("sl",))
     out = place / "out"
     line = [place / "room", "--methods", "tsdf", "--settings", "given", "--set", "fusion.voxel_size_m=0.08"]
-    line += ["--set", "fusion.min_readings=1", "--out", out, "--seeds"]
+    line += ["--set", "fusion.min_observations=1", "--out", out, "--seeds"]
     first = bench(*line, 1)
     records = json.loads((out / "runs.json").read_text())
     second = bench(*line, 1, place / "nowhere")

@@ -12,9 +12,15 @@ from uncle.recon.methods import map_output
 from uncle.recon.run.directory import RunDirectory
 
 QUICK = [
-    "fusion.voxel_size_m=0.05", "fusion.sweeps=0", "fusion.min_readings=2", "keyframes.rays=200", "field.iterations=3",
-    "uncertainty.steps_per_keyframe=1", "uncertainty.steps_per_sweep=5", "uncertainty.batch=64",
-]  # fmt: skip
+    "fusion.voxel_size_m=0.05",
+    "fusion.passes=0",
+    "fusion.min_observations=2",
+    "keyframes.rays=200",
+    "field.iterations=3",
+    "uncertainty.steps_per_keyframe=1",
+    "uncertainty.steps_per_pass=5",
+    "uncertainty.batch=64",
+]
 
 
 def uncle(*arguments: object) -> Result:
@@ -54,7 +60,7 @@ def test_map_then_mesh(run):
     assert f"Wrote {run.mesh_path}" in result.stderr
     mesh = Mesh.load(run.mesh_path)
     assert len(mesh.vertices) > 500
-    assert mesh.confidence is not None
+    assert mesh.sigma is not None
     assert mesh.colors is not None
     facts = run.manifest.stages["mesh"].facts
     assert (facts["vertices"], facts["faces"]) == (len(mesh.vertices), len(mesh.faces))
@@ -73,8 +79,8 @@ def test_mesh_is_redone_only_where_something_changed(run):
     assert "Wrote" in uncle("mesh", "--run", run.root, "--voxel", "0.08", "--out", elsewhere).stderr
     assert len(Mesh.load(elsewhere).vertices) == coarse
     assert "done and unchanged" in uncle("mesh", "--run", run.root, "--no-clean").stderr  # --out is no stage
-    message = one_line(uncle("mesh", "--run", run.root, "--min-confidence", "1e-9"))
-    assert "larger --min-confidence" in message
+    message = one_line(uncle("mesh", "--run", run.root, "--max-sigma", "1e-9"))
+    assert "larger --max-sigma" in message
     run.mesh_path.unlink()
     assert "Wrote" in uncle("mesh", "--run", run.root, "--no-clean").stderr
 
@@ -83,22 +89,24 @@ def test_vertices_that_are_not_sure_enough_are_left_out(run):
     assert uncle_map(run).exit_code == 0
     assert uncle("mesh", "--run", run.root, "--no-clean").exit_code == 0
     everything = Mesh.load(run.mesh_path)
-    limit = float(np.median(everything.confidence))
-    result = uncle("mesh", "--run", run.root, "--no-clean", "--min-confidence", limit)
+    limit = float(np.median(everything.sigma))
+    result = uncle("mesh", "--run", run.root, "--no-clean", "--max-sigma", limit)
     assert result.exit_code == 0, result.output
     sure = Mesh.load(run.mesh_path)
-    assert sure.confidence.max() <= limit + 1e-7
+    assert sure.sigma.max() <= limit + 1e-7
     assert 0.3 * len(everything.vertices) < len(sure.vertices) <= 0.55 * len(everything.vertices)
     kept = {tuple(vertex) for vertex in sure.vertices}
-    assert kept <= {tuple(vertex) for vertex in everything.vertices[everything.confidence <= limit + 1e-7]}
-    assert run.manifest.stages["mesh"].facts["min_confidence_m"] == limit
-    assert "done and unchanged" in uncle("mesh", "--run", run.root, "--no-clean", "--min-confidence", limit).stderr
+    assert kept <= {tuple(vertex) for vertex in everything.vertices[everything.sigma <= limit + 1e-7]}
+    assert run.manifest.stages["mesh"].facts["max_sigma_m"] == limit
+    assert "done and unchanged" in uncle("mesh", "--run", run.root, "--no-clean", "--max-sigma", limit).stderr
     assert "Wrote" in uncle("mesh", "--run", run.root, "--no-clean").stderr
     assert len(Mesh.load(run.mesh_path).vertices) == len(everything.vertices)
 
 
 def test_baseline(run):
-    result = uncle("map", "--run", run.root, "--method", "tsdf", "--voxel", "0.06", "--set", "fusion.min_readings=1")
+    result = uncle(
+        "map", "--run", run.root, "--method", "tsdf", "--voxel", "0.06", "--set", "fusion.min_observations=1"
+    )
     assert result.exit_code == 0, result.output
     assert 'method = "tsdf"' in run.config_path.read_text()
     assert "voxel_size_m = 0.06" in run.config_path.read_text()

@@ -12,9 +12,13 @@ from uncle.datasets.synth.write import make_dataset
 FRAMES = 20
 FAULTS = {8: "frozen", 12: "zero", 16: "shifted"}  # from a frame on
 QUICK = [
-    "fusion.voxel_size_m=0.04", "fusion.min_readings=2", "field.iterations=5", "field.rays=256", "keyframes.rays=500",
-    "uncertainty.steps_per_sweep=60",
-]  # fmt: skip
+    "fusion.voxel_size_m=0.04",
+    "fusion.min_observations=2",
+    "field.iterations=5",
+    "field.rays=256",
+    "keyframes.rays=500",
+    "uncertainty.steps_per_pass=60",
+]
 
 
 def uncle(*arguments: object) -> Result:
@@ -53,7 +57,7 @@ def test_faults_are_reported_and_the_map_survives(tmp_path):
     room = make_dataset(tmp_path / "room", frames=FRAMES, size=128, sensors=("sl", "sgm"))
     said, sensors, sound = map_and_score(room, tmp_path / "sound")
     assert "left out" not in said
-    assert all(facts["used"] == FRAMES and not facts["faults"] for facts in sensors.values())
+    assert all(facts["used_frames"] == FRAMES and not facts["faults"] for facts in sensors.values())
     spoil(room, "left_sgm_depth")
     said, sensors, spoilt = map_and_score(room, tmp_path / "spoilt")
     assert sensors["sgm"]["sentences"] == [
@@ -62,7 +66,7 @@ def test_faults_are_reported_and_the_map_survives(tmp_path):
         "sgm: at odds with the map from frame 16 to 19, left out",
     ]
     assert all(sentence in said for sentence in sensors["sgm"]["sentences"])
-    assert (sensors["sgm"]["used"], sensors["sl"]["used"]) == (8, FRAMES)
+    assert (sensors["sgm"]["used_frames"], sensors["sl"]["used_frames"]) == (8, FRAMES)
     facts = json.loads((tmp_path / "spoilt/manifest.json").read_text())["stages"]["map"]["facts"]
-    assert facts["left_out"] == {"sgm": {"frozen": 4, "missing": 4, "disagrees": 4}}
+    assert facts["faulty_frames"] == {"sgm": {"frozen": 4, "missing": 4, "inconsistent": 4}}
     assert spoilt > sound - 0.02

@@ -14,9 +14,13 @@ from uncle.recon.run.tracking_record import TrackingRecord
 
 FRAMES = 24
 QUICK = [
-    "fusion.voxel_size_m=0.03", "fusion.min_readings=1", "field.iterations=5", "field.rays=256", "keyframes.rays=500",
-    "uncertainty.steps_per_sweep=60",
-]  # fmt: skip
+    "fusion.voxel_size_m=0.03",
+    "fusion.min_observations=1",
+    "field.iterations=5",
+    "field.rays=256",
+    "keyframes.rays=500",
+    "uncertainty.steps_per_pass=60",
+]
 
 
 def uncle(*arguments: object) -> Result:

@@ -12,9 +12,15 @@ from uncle.cli.main import main
 from uncle.recon.run.directory import RunDirectory
 
 QUICK = [
-    "fusion.voxel_size_m=0.05", "fusion.sweeps=0", "fusion.min_readings=2", "keyframes.rays=200", "field.iterations=3",
-    "uncertainty.steps_per_keyframe=1", "uncertainty.steps_per_sweep=5", "uncertainty.batch=64",
-]  # fmt: skip
+    "fusion.voxel_size_m=0.05",
+    "fusion.passes=0",
+    "fusion.min_observations=2",
+    "keyframes.rays=200",
+    "field.iterations=3",
+    "uncertainty.steps_per_keyframe=1",
+    "uncertainty.steps_per_pass=5",
+    "uncertainty.batch=64",
+]
 
 
 def uncle(*arguments: object) -> Result:
@@ -35,7 +41,7 @@ def one_line(result: Result) -> str:
 
 
 def finish_map(run: RunDirectory, share: object) -> RunDirectory:
-    run.finish_stage("map", "0", time.time(), {"method": "uncle", "sensor_share": share})
+    run.finish_stage("map", "0", time.time(), {"method": "uncle", "sensor_weight_share": share})
     return run
 
 

@@ -14,15 +14,7 @@ from .confidence import ConfidenceConfig
 from .nice import NiceConfig, NiceMappingConfig, NiceTrackingConfig
 from .presets import PRESETS
 from .senfunet import SenfunetConfig
-from .uncle import (
-    ColorConfig,
-    FieldConfig,
-    FusionConfig,
-    HealthConfig,
-    KeyframeConfig,
-    TrackingConfig,
-    UncertaintyConfig,
-)
+from .uncle import FaultDetectionConfig, FieldConfig, FusionConfig, KeyframeConfig, PhotometricConfig, TrackingConfig, UncertaintyConfig
 from .vox import VoxConfig
 
 
@@ -43,12 +35,12 @@ class MapConfig(Strict):
         0, ge=0, description="Every n-th frame is kept out of the map, to be scored by `uncle eval`; 0: none."
     )
     tracking: TrackingConfig = TrackingConfig()
-    health: HealthConfig = HealthConfig()
+    fault_detection: FaultDetectionConfig = FaultDetectionConfig()
     fusion: FusionConfig = FusionConfig()
     uncertainty: UncertaintyConfig = UncertaintyConfig()
     keyframes: KeyframeConfig = KeyframeConfig()
     field: FieldConfig = FieldConfig()
-    color: ColorConfig = ColorConfig()
+    photometric: PhotometricConfig = PhotometricConfig()
     vox: VoxConfig = VoxConfig()
     senfunet: SenfunetConfig = SenfunetConfig()
     confidence: ConfidenceConfig = ConfidenceConfig()

@@ -12,7 +12,7 @@ from .base import Strict
 class NiceConfig(Strict):
     """Feature grids, rendering and uncertainty of `uncle-paper` and `nice-slam`."""
 
-    faithful: bool = Field(
+    reproduce_released_code: bool = Field(
         False, description="Take the published code's choices where they differ from the paper's text (docs/paper.md)."
     )
     weighting: Literal["laplace", "uniform", "confidence"] = Field(
@@ -47,7 +47,7 @@ class NiceMappingConfig(Strict):
     pixels: int = Field(5000, ge=16, description="Rays in each step, spread evenly over the frames of the window.")
     window: int = Field(5, ge=2, description="Frames in a step, the current one included (7-Scenes, TUM: 10).")
     keyframe_every: int = Field(50, ge=1, description="Frames from one keyframe to the next.")
-    fine_from: float = Field(
+    fine_stage_start: float = Field(
         0.6, ge=0, le=1, description="Share of the steps on the middle grid alone; faithful: 0.4, colour from 0.6."
     )
     learning_rate_middle: float = Field(0.1, gt=0, description="Step size of Adam for the middle grid, alone.")
@@ -74,10 +74,10 @@ class NiceTrackingConfig(Strict):
 
 # what stands still while a field is optimised frame by frame; its surface is sampled at the voxel size
 OPTIMISED: dict[str, Any] = {
-    "fusion": {"voxel_size_m": 0.04, "max_depth_m": 10.0, "min_readings": 1.0},
+    "fusion": {"voxel_size_m": 0.04, "max_depth_m": 10.0, "min_observations": 1.0},
     "uncertainty": {"enabled": False},
-    "health": {"enabled": False},
-    "color": {"enabled": False},
+    "fault_detection": {"enabled": False},
+    "photometric": {"enabled": False},
     "field": {"iterations": 0, "levels": []},
 }
 PRESETS: dict[str, dict[str, Any]] = {

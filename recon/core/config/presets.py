@@ -14,9 +14,9 @@ PRESETS: dict[str, dict[str, Any]] = {
     "vox-fusion": VOX_PRESET,
     "senfunet": SENFUNET_PRESET,
     "tsdf": {
-        "fusion": {"sweeps": 0},
+        "fusion": {"passes": 0},
         "uncertainty": {"enabled": False},
-        "color": {"enabled": False},
+        "photometric": {"enabled": False},
         "field": {"iterations": 0},
     },
 }

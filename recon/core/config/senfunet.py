@@ -19,8 +19,8 @@ class SenfunetConfig(Strict):
 
 
 PRESET = {
-    "fusion": {"sweeps": 0, "truncation_voxels": 5.0, "min_readings": 1.0},
+    "fusion": {"passes": 0, "truncation_voxels": 5.0, "min_observations": 1.0},
     "uncertainty": {"enabled": False},
-    "color": {"enabled": False},
+    "photometric": {"enabled": False},
     "field": {"iterations": 0},
 }

@@ -17,14 +17,14 @@ class FusionConfig(Strict):
         4.0, ge=2.0, le=16.0, description="Distances are cut off at this many voxels before and behind a reading."
     )
     max_depth_m: float = Field(6.0, gt=0.1, le=1000.0, description="Readings farther than this take no part, metres.")
-    blur_voxels: float = Field(
+    discretisation_voxels: float = Field(
         0.5, ge=0, description="What the grid itself cannot resolve, added to beta in the weights."
     )
-    min_readings: float = Field(3.0, ge=1.0, description="A sample seen less often is not part of the surface.")
-    sweeps: int = Field(
+    min_observations: float = Field(3.0, ge=1.0, description="A sample seen less often is not part of the surface.")
+    passes: int = Field(
         1,
         ge=0,
-        description="Fusions of all frames after the first one, each with what was learned before (see `color.looks`).",
+        description="Integration passes over all frames after the online pass, each with what was learned before.",
     )
 
 
@@ -33,7 +33,7 @@ class UncertaintyConfig(Strict):
 
     enabled: bool = Field(True, description="Learn how noisy each sensor is; false: every reading weighs the same.")
     hidden: int = Field(16, ge=4, description="Width of the two hidden layers.")
-    features: tuple[str, ...] = Field(
+    inputs: tuple[str, ...] = Field(
         (), description='Inputs that the network sees, for ablations, such as ["depth", "incidence"]; empty: all.'
     )
     beta_min_m: float = Field(1e-3, gt=0, description="Smallest beta, metres (paper: 1e-3).")
@@ -43,7 +43,7 @@ class UncertaintyConfig(Strict):
     steps_per_keyframe: int = Field(
         10, ge=0, description="Steps on the pixels of each new keyframe, before it is fused."
     )
-    steps_per_sweep: int = Field(400, ge=0, description="Steps on the pixels of all keyframes after each sweep.")
+    steps_per_pass: int = Field(400, ge=0, description="Steps on the pixels of all keyframes after each sweep.")
     batch: int = Field(4096, ge=16, description="Pixels in each step.")
 
 
@@ -82,25 +82,25 @@ class FieldConfig(Strict):
     prior_weight: float = Field(1.0, ge=0, description="Weight of the pull back to the fused distances.")
 
 
-class ColorConfig(Strict):
+class PhotometricConfig(Strict):
     """Colour as one more witness of where the surface is: depth by matching views."""
 
     enabled: bool = Field(
         True, description="Correct the surface by what colours of several views agree on; needs the uncertainty."
     )
-    looks: int = Field(
+    max_passes: int = Field(
         3,
         ge=1,
         description="Times that colour is asked, each before a sweep; once if it finds the surface where it is.",
     )
-    weigh_sensors: bool = Field(
+    estimate_reliability: bool = Field(
         True, description="Find what readings of each sensor are worth by predicting colour; else all a third."
     )
     max_views: int = Field(150, ge=3, description="Views whose depth is looked for, at most.")
-    shift: float = Field(
+    min_baseline_ratio: float = Field(
         0.03, gt=0, description="A view is chosen when the camera moved by this share of the depth it sees,"
     )
-    turn_rad: float = Field(0.07, gt=0, description="or turned by this angle, radians.")
+    min_rotation_rad: float = Field(0.07, gt=0, description="or turned by this angle, radians.")
 
 
 class TrackingConfig(Strict):
@@ -113,23 +113,27 @@ class TrackingConfig(Strict):
         True, description="Use colour: features and photometric residuals; set by `--color` and `--no-color`."
     )
     features: int = Field(1000, ge=50, description="Features taken from an image, the strongest.")
-    readings: int = Field(1000, ge=0, description="Depth readings of each sensor that are aligned with the surface.")
-    explore_every: int = Field(
+    depth_samples: int = Field(
+        1000, ge=0, description="Depth readings of each sensor that are aligned with the surface."
+    )
+    integrate_every: int = Field(
         3, ge=1, description="Every n-th frame, and every keyframe, enters the map while tracking; all do afterwards."
     )
     keyframe_matches: int = Field(80, ge=12, description="A frame with fewer matches becomes a keyframe.")
-    keyframe_turn_rad: float = Field(0.1, gt=0, description="So does one that turned by more, radians,")
-    keyframe_shift: float = Field(0.05, gt=0, description="or moved by more than this share of the depth it sees.")
+    keyframe_rotation_rad: float = Field(0.1, gt=0, description="So does one that turned by more, radians,")
+    keyframe_translation_ratio: float = Field(
+        0.05, gt=0, description="or moved by more than this share of the depth it sees."
+    )
 
 
-class HealthConfig(Strict):
+class FaultDetectionConfig(Strict):
     """Noticing sensors that drop out, freeze or go wrong in the middle of a recording."""
 
     enabled: bool = Field(True, description="Leave out what a sensor reads while it is at fault; false: believe it.")
-    min_readings: float = Field(
+    min_valid_ratio: float = Field(
         0.05, ge=0, lt=1, description="A sensor is missing in a frame with at most this share of its usual readings."
     )
-    max_bias: float = Field(
+    max_median_shift: float = Field(
         0.03, gt=0, description="A median error against the map is borne, if earlier ones reach to this share of depth."
     )
-    max_scatter: float = Field(0.05, gt=0, description="So is this median deviation from it, as a share of depth.")
+    max_mad: float = Field(0.05, gt=0, description="So is this median deviation from it, as a share of depth.")

@@ -48,4 +48,4 @@ class VoxConfig(BaseModel):
     )
 
 
-PRESET = {"uncertainty": {"enabled": False}, "color": {"enabled": False}}
+PRESET = {"uncertainty": {"enabled": False}, "photometric": {"enabled": False}}

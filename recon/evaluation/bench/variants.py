@@ -24,7 +24,7 @@ class Variant(NamedTuple):
 
 
 def _features(*names: str) -> str:
-    return f"uncertainty.features={json.dumps(names)}"
+    return f"uncertainty.inputs={json.dumps(names)}"
 
 
 def _paper_variants() -> dict[str, Settings]:
@@ -59,13 +59,13 @@ GROUPS: dict[str, dict[str, Settings]] = {
         "two inputs": (_features(*_TWO),),
         "hidden 8": ("uncertainty.hidden=8",),
         "hidden 64": ("uncertainty.hidden=64",),
-        "sweeps 0": ("fusion.sweeps=0",),
-        "one look": ("color.looks=1",),
-        "one look, sweeps 2": ("color.looks=1", "fusion.sweeps=2"),
-        "readings worth alike": ("color.weigh_sensors=false",),
-        "no colour": ("color.enabled=false",),
-        "quarter of the steps": ("uncertainty.steps_per_sweep=100",),
-        "no blur": ("fusion.blur_voxels=0",),
+        "sweeps 0": ("fusion.passes=0",),
+        "one look": ("photometric.max_passes=1",),
+        "one look, sweeps 2": ("photometric.max_passes=1", "fusion.passes=2"),
+        "readings worth alike": ("photometric.estimate_reliability=false",),
+        "no colour": ("photometric.enabled=false",),
+        "quarter of the steps": ("uncertainty.steps_per_pass=100",),
+        "no blur": ("fusion.discretisation_voxels=0",),
         "beta_min 1 cm": ("uncertainty.beta_min_m=1e-2",),
         "no refinement": ("field.iterations=0",),
     },

@@ -9,12 +9,12 @@ from ...core.config.nice import NiceConfig, NiceTrackingConfig
 from ...core.frame import Frame
 from ..confidence.models import ConfidenceModels
 from .views import Rays
-from .weighting import Normals, Uniform
+from .weighting import Normals, UniformWeighting
 
 LEAST = 1e-3  # keeps the denominator of a reading that is not trusted at all finite
 
 
-class Confident(Uniform):
+class ConfidenceWeighting(UniformWeighting):
     """As NICE-SLAM, with c |D - D-hat| in mapping, in all stages, and c |D - D-hat| / S-hat in tracking.
 
     How the paper's comparison uses its confidences is not published; this is the plainest way.
@@ -26,7 +26,7 @@ class Confident(Uniform):
         super().__init__(config, tracking)
         self.models, self.device = models, device
 
-    def clues(self, frame: Frame, normals: Normals) -> Tensor:
+    def weighting_inputs(self, frame: Frame, normals: Normals) -> Tensor:
         """(K, 1, H, W): the confidence of each reading; 1 where there is none, which takes no part in a loss."""
         images = []
         for sensor, depth in frame.depths.items():
@@ -35,4 +35,4 @@ class Confident(Uniform):
         return torch.stack(images)[:, None]
 
     def confidence(self, rays: Rays) -> Tensor:
-        return rays.clues[..., 0]
+        return rays.weighting_inputs[..., 0]

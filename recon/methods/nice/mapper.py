@@ -54,7 +54,7 @@ class NiceMapper:
         masks = self._masks(current)
         count = settings.first_iterations if first else settings.iterations
         moves = settings.bundle_adjustment and self.config.tracking.enabled and len(self.keyframes) > MIN_KEYFRAMES_BA
-        stages = schedule(count, settings, self.config.nice.faithful, self.config.nice.color)
+        stages = schedule(count, settings, self.config.nice.reproduce_released_code, self.config.nice.color)
         self._optimise(frames, stages, masks, settings.first_factor if first else 1.0, moves)
         if last and settings.refine and not first:
             self._refine(current)
@@ -62,7 +62,7 @@ class NiceMapper:
             self.keyframes.append(current)
             self.next_keyframe = view.index + settings.keyframe_every
         for name, nats in self.weighting.nats().items():
-            self.curves.setdefault(f"noise {name}", []).append(nats)
+            self.curves.setdefault(f"noise/{name}", []).append(nats)
         return {frame.view.index: frame.T_world_camera for frame in frames} if moves else {}
 
     def loss(self, window: Window, poses: Tensor, stage: Stage) -> Tensor:
@@ -85,9 +85,9 @@ class NiceMapper:
 
     def _refine(self, current: Keyframe) -> None:
         """The last frame: all features, twice the window, the colour decoder held."""
-        faithful, color = self.config.nice.faithful, self.config.nice.color
+        reproduce_released_code, color = self.config.nice.reproduce_released_code, self.config.nice.color
         stages: list[Stage] = ["color" if color else "fine"] * self.settings.iterations
-        if faithful:
+        if reproduce_released_code:
             stages[0] = "middle"
         for _ in range(REFINE_ROUNDS):
             frames = [*self._window(current, 2 * self.settings.window), current]
@@ -99,7 +99,7 @@ class NiceMapper:
     ) -> None:  # fmt: skip
         """Adam from fresh moments. `masks` (V, 1): features that may change, all where a grid has none."""
         window = Window(
-            [frame.view for frame in frames], self.camera, self.weighting.clue_patch, self.weighting.color_patch
+            [frame.view for frame in frames], self.camera, self.weighting.patch_size, self.weighting.color_patch
         )  # fmt: skip
         seven = to_seven(np.array([frame.T_world_camera for frame in frames])).to(self.scene.device)
         oldest = min(range(len(frames)), key=lambda i: frames[i].view.index)
@@ -159,10 +159,17 @@ def learning_rates(settings: NiceMappingConfig, stage: Stage, factor: float, las
     }
 
 
-def schedule(iterations: int, settings: NiceMappingConfig, faithful: bool, color: bool) -> list[Stage]:
+def schedule(iterations: int, settings: NiceMappingConfig, reproduce_released_code: bool, color: bool) -> list[Stage]:
     """The stage of each step. D5: the paper's fine grid joins after 60 percent of them, the published code's after 40,
     and its colour after 60."""
-    return list(_stages(iterations, 0.4 if faithful else settings.fine_from, 0.6 if faithful else 0.0, color))
+    return list(
+        _stages(
+            iterations,
+            0.4 if reproduce_released_code else settings.fine_stage_start,
+            0.6 if reproduce_released_code else 0.0,
+            color,
+        )
+    )
 
 
 def _stages(iterations: int, fine_from: float, color_from: float, color: bool) -> Iterator[Stage]:

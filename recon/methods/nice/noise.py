@@ -41,7 +41,7 @@ class NoiseNet(nn.Module):
         return softplus(self.layers[-1](patches)[..., 0])
 
 
-def noise_images(depth: Tensor, normals: Tensor, camera: Camera, count: int, faithful: bool) -> Tensor:
+def noise_images(depth: Tensor, normals: Tensor, camera: Camera, count: int, reproduce_released_code: bool) -> Tensor:
     """depth (H, W) metres, normals (H, W, 3) towards the camera -> (count, H, W): depth, incidence; of 7 also normal
     and gradients, in the order depth, normal, incidence, dx, dy.
 
@@ -49,7 +49,7 @@ def noise_images(depth: Tensor, normals: Tensor, camera: Camera, count: int, fai
     unknown; the published code has the signed cosine of its own normals.
     """
     metres = depth.numpy()
-    if faithful:
+    if reproduce_released_code:
         smooth = features_reference.smooth_depth(metres)
         normal = features_reference.normals(smooth, camera).astype(np.float32)
         incidence = features_reference.incidence(normal, camera).astype(np.float32)

@@ -55,7 +55,7 @@ def mapping_loss(picture: Picture, rays: Rays, weighting: Weighting, stage: Stag
     return loss + weighting.color_loss(errors, rays.colors, picture.inside, rays, stage)
 
 
-def tracking_loss(picture: Picture, rays: Rays, weighting: Weighting, faithful: bool) -> Tensor:
+def tracking_loss(picture: Picture, rays: Rays, weighting: Weighting, reproduce_released_code: bool) -> Tensor:
     """Mean over the pixels that are no outliers, of all sensors together, and colour on the same pixels (D1, D2).
 
     The published code keeps the last sensor alone, and sums. NaN where no reading is left.
@@ -64,13 +64,13 @@ def tracking_loss(picture: Picture, rays: Rays, weighting: Weighting, faithful: 
     inside = picture.inside[:, None]
     medians = torch.where(inside, scaled.detach(), torch.nan).nanmedian(dim=0).values
     kept = inside & (rays.depths > 0) & (scaled.detach() < OUTLIER * medians)
-    if faithful:
+    if reproduce_released_code:
         kept = kept & (torch.arange(kept.shape[1], device=kept.device) == kept.shape[1] - 1)
     depth = torch.where(kept, scaled, 0.0).sum(0)
-    counts = torch.ones_like(depth) if faithful else kept.sum(0).clamp(min=1)
+    counts = torch.ones_like(depth) if reproduce_released_code else kept.sum(0).clamp(min=1)
     loss = (depth / counts).sum()
     if picture.colors is not None:
         errors = (rays.colors - picture.colors).abs().sum(1) * weighting.color_scale(rays)
-        used = kept[:, -1] if faithful else kept.any(1)
-        loss = loss + torch.where(used, errors, 0.0).sum() / (1 if faithful else used.sum().clamp(min=1))
+        used = kept[:, -1] if reproduce_released_code else kept.any(1)
+        loss = loss + torch.where(used, errors, 0.0).sum() / (1 if reproduce_released_code else used.sum().clamp(min=1))
     return torch.where(kept.any(), loss, torch.nan)

@@ -25,7 +25,7 @@ from .scene import Scene
 from .surface import Seen, field_of
 from .tracker import NiceTracker
 from .views import View
-from .weighting import Laplace, Uniform, Weighting
+from .weighting import LaplaceWeighting, UniformWeighting, Weighting
 
 MAX_VIEWS = 150  # asked which samples they see
 
@@ -56,8 +56,8 @@ class NiceSystem:
         """Readings out of range are none."""
         near = {sensor: torch.where(depth < self._reach, depth, 0.0) for sensor, depth in frame.depths.items()}
         frame = Frame(frame.index, frame.timestamp, frame.color, near, frame.T_world_camera)
-        clues = self.weighting.clues(frame, self.frames.normals)
-        return View(frame.index, torch.stack(list(near.values())), frame.color, clues)
+        weighting_inputs = self.weighting.weighting_inputs(frame, self.frames.normals)
+        return View(frame.index, torch.stack(list(near.values())), frame.color, weighting_inputs)
 
     def track(self, frame: Frame, prepared: View, recent: list[np.ndarray]) -> Found:
         found = self.tracker.track(prepared.to(self.device), recent)
@@ -68,7 +68,7 @@ class NiceSystem:
         return self.mapper.map(prepared.to(self.device), T_world_camera, last)
 
     def betas(self, frame: Frame, prepared: View) -> dict[str, Tensor]:
-        return self.weighting.betas(frame, prepared.clues.to(self.device))
+        return self.weighting.betas(frame, prepared.weighting_inputs.to(self.device))
 
     def field(self, poses: Poses, on_event: OnEvent) -> NeuralField:
         """The surface where any of up to `MAX_VIEWS` cameras looked."""
@@ -152,10 +152,10 @@ def choose_weighting(config: Any, sensors: tuple[str, ...], camera: Camera, gene
                      device: torch.device) -> Weighting:  # fmt: skip
     """The weighting that `config` (a `MapConfig`) asks for. Raises ConfigError."""
     if config.nice.weighting == "laplace":
-        return Laplace(config.nice, sensors, camera, generator, device)
+        return LaplaceWeighting(config.nice, sensors, camera, generator, device)
     if config.nice.weighting == "confidence":
-        from .confidence_weighting import Confident  # which is made of `Uniform`
+        from .confidence_weighting import ConfidenceWeighting  # which is made of `UniformWeighting`
 
         models = ConfidenceModels.load(sensors, config.confidence.files, device)
-        return Confident(config.nice, config.nice_tracking, models, device)
-    return Uniform(config.nice, config.nice_tracking)
+        return ConfidenceWeighting(config.nice, config.nice_tracking, models, device)
+    return UniformWeighting(config.nice, config.nice_tracking)

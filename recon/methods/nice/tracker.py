@@ -29,16 +29,18 @@ class NiceTracker:
     def track(self, view: View, recent: list[np.ndarray]) -> Found:
         """The best of the poses that Adam passes, from that of constant velocity; lost where no reading is usable."""
         self.scene.hold()
-        settings, faithful = self.settings, self.config.nice.faithful
+        settings, reproduce_released_code = self.settings, self.config.nice.reproduce_released_code
         window = Window(
-            [view], self.camera, self.weighting.clue_patch, self.weighting.color_patch, settings.edge
+            [view], self.camera, self.weighting.patch_size, self.weighting.color_patch, settings.edge
         )  # fmt: skip
         start = to_seven(predicted(recent)).to(self.scene.device)
         rotation, centre = start[:4].clone().requires_grad_(), start[4:].clone().requires_grad_()
         rates = [settings.learning_rate * settings.rotation_factor, settings.learning_rate]
         groups = [{"params": [p], "lr": rate} for p, rate in zip((rotation, centre), rates, strict=True)]
         adam = torch.optim.Adam(groups, fused=True)
-        late = faithful and settings.rotation_factor == 1.0  # the published code keeps the pose after the step
+        late = (
+            reproduce_released_code and settings.rotation_factor == 1.0
+        )  # the published code keeps the pose after the step
         best, least = start, torch.full((), torch.inf, device=start.device)
         for _ in range(settings.iterations):
             seven = torch.cat([rotation, centre])
@@ -61,4 +63,4 @@ class NiceTracker:
         picture = look(
             rays, poses, self.evaluate, self.scene.bound, "color" if colored else "fine", self.config.nice
         )  # fmt: skip
-        return tracking_loss(picture, rays, self.weighting, self.config.nice.faithful)
+        return tracking_loss(picture, rays, self.weighting, self.config.nice.reproduce_released_code)

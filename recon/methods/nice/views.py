@@ -21,10 +21,10 @@ class View:
     index: int
     depths: Tensor
     color: Tensor
-    clues: Tensor
+    weighting_inputs: Tensor
 
     def to(self, device: torch.device) -> View:
-        return View(self.index, *(part.to(device) for part in (self.depths, self.color, self.clues)))
+        return View(self.index, *(part.to(device) for part in (self.depths, self.color, self.weighting_inputs)))
 
 
 @dataclass(frozen=True)
@@ -41,7 +41,7 @@ class Rays:
     gather_colors: Callable[[], Tensor]
 
     @cached_property
-    def clues(self) -> Tensor:
+    def weighting_inputs(self) -> Tensor:
         """(N, K, C)."""
         return self.gather_clues()
 
@@ -59,13 +59,13 @@ class Rays:
 class Window:
     """Views side by side, ready to lend pixels; `edge` pixels at their border are cut away."""
 
-    def __init__(self, views: list[View], camera: Camera, clue_patch: int, color_patch: int, edge: int = 0) -> None:
-        """clue_patch, color_patch: pixels along the side of the patch that the weighting sees; 0: no colour patch."""
-        self.camera, self.clue_patch, self.color_patch = camera.cropped(edge), clue_patch, color_patch
+    def __init__(self, views: list[View], camera: Camera, patch_size: int, color_patch: int, edge: int = 0) -> None:
+        """patch_size, color_patch: pixels along the side of the patch that the weighting sees; 0: no colour patch."""
+        self.camera, self.patch_size, self.color_patch = camera.cropped(edge), patch_size, color_patch
         inner = (slice(edge, camera.height - edge), slice(edge, camera.width - edge))
         self.depths = torch.stack([view.depths[:, *inner] for view in views])
         self.colors = torch.stack([view.color[inner] for view in views])
-        self.clues = torch.stack([view.clues[:, :, *inner] for view in views])
+        self.weighting_inputs = torch.stack([view.weighting_inputs[:, :, *inner] for view in views])
         self.planes = self.colors.permute(0, 3, 1, 2).contiguous() if color_patch else self.colors
         self.count = len(views)
 
@@ -86,6 +86,6 @@ class Window:
         pixels = (views, rows, columns)
         return Rays(
             views, directions, depths, self.colors[pixels].float() / 255,
-            lambda: gather_patches(self.clues, *pixels, self.clue_patch),
+            lambda: gather_patches(self.weighting_inputs, *pixels, self.patch_size),
             lambda: gather_patches(self.planes, *pixels, self.color_patch).float() / 255,
         )  # fmt: skip

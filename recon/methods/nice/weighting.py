@@ -25,13 +25,13 @@ Normals = Callable[[int, str], Tensor]  # frame index, sensor -> (H, W, 3)
 
 
 class Weighting(Protocol):
-    """clue_patch, color_patch: pixels along the side of the patch around a pixel that it sees, 0: none of colour."""
+    """patch_size, color_patch: pixels along the side of the patch around a pixel that it sees, 0: none of colour."""
 
-    clue_patch: int
+    patch_size: int
     color_patch: int
     learns: bool  # whether `betas` says anything
 
-    def clues(self, frame: Frame, normals: Normals) -> Tensor:
+    def weighting_inputs(self, frame: Frame, normals: Normals) -> Tensor:
         """(K, C, H, W): what it sees of the images of the K sensors of a frame, made in the background."""
 
     def depth_loss(self, residuals: Tensor, valid: Tensor, rays: Rays, stage: Stage) -> Tensor:
@@ -46,7 +46,7 @@ class Weighting(Protocol):
     def color_scale(self, rays: Rays) -> Tensor | float:
         """Factor (N,) of the colour errors in the tracking loss."""
 
-    def betas(self, frame: Frame, clues: Tensor) -> dict[str, Tensor]:
+    def betas(self, frame: Frame, weighting_inputs: Tensor) -> dict[str, Tensor]:
         """By sensor (H, W) metres, 0 where there is no reading."""
 
     def nets(self) -> dict[str, nn.Module]:
@@ -56,15 +56,15 @@ class Weighting(Protocol):
         """Mean negative log-likelihood of the readings in the last loss, by sensor; waits for the device."""
 
 
-class Uniform:
+class UniformWeighting:
     """NICE-SLAM: every reading alike; a fixed weight of colour, which counts in the colour stage alone."""
 
-    clue_patch, color_patch, learns = 1, 0, False
+    patch_size, color_patch, learns = 1, 0, False
 
     def __init__(self, config: NiceConfig, tracking: NiceTrackingConfig) -> None:
         self.config, self.tracking = config, tracking
 
-    def clues(self, frame: Frame, normals: Normals) -> Tensor:
+    def weighting_inputs(self, frame: Frame, normals: Normals) -> Tensor:
         height, width = frame.color.shape[:2]
         return torch.zeros(len(frame.depths), 0, height, width)
 
@@ -85,7 +85,7 @@ class Uniform:
     def color_scale(self, rays: Rays) -> Tensor | float:
         return self.tracking.color_weight
 
-    def betas(self, frame: Frame, clues: Tensor) -> dict[str, Tensor]:
+    def betas(self, frame: Frame, weighting_inputs: Tensor) -> dict[str, Tensor]:
         return {}
 
     def nets(self) -> dict[str, nn.Module]:
@@ -95,7 +95,7 @@ class Uniform:
         return {}
 
 
-class Laplace:
+class LaplaceWeighting:
     """The paper: |r| / beta + log beta with beta = beta_min + softplus(h_w(patch)), of each sensor and of colour."""
 
     color_patch, learns = PATCH, True
@@ -105,16 +105,16 @@ class Laplace:
         device: torch.device,
     ) -> None:  # fmt: skip
         self.config, self.sensors, self.camera = config, sensors, camera
-        self.clue_patch: int = config.noise_patch
-        patch = self.clue_patch
+        self.patch_size: int = config.noise_patch
+        patch = self.patch_size
         self.depth_nets = [NoiseNet(config.noise_features, generator, patch).to(device) for _ in sensors]
         self.color_net = NoiseNet(COLOR_INPUTS, generator).to(device)
         self._nats: Tensor | None = None
 
-    def clues(self, frame: Frame, normals: Normals) -> Tensor:
-        count, faithful = self.config.noise_features, self.config.faithful
+    def weighting_inputs(self, frame: Frame, normals: Normals) -> Tensor:
+        count, reproduce_released_code = self.config.noise_features, self.config.reproduce_released_code
         images = [
-            noise_images(depth, normals(frame.index, sensor), self.camera, count, faithful)
+            noise_images(depth, normals(frame.index, sensor), self.camera, count, reproduce_released_code)
             for sensor, depth in frame.depths.items()
         ]
         return torch.stack(images)
@@ -130,7 +130,7 @@ class Laplace:
 
     def color_loss(self, errors: Tensor, colors: Tensor, used: Tensor, rays: Rays, stage: Stage) -> Tensor:
         """In the fine stage the published code fits beta to an image that is still black (D11); the paper does not."""
-        if stage == "middle" or (stage == "fine" and not self.config.faithful):
+        if stage == "middle" or (stage == "fine" and not self.config.reproduce_released_code):
             return errors.new_zeros(())
         if stage == "fine":
             errors = colors.sum(1)
@@ -140,7 +140,7 @@ class Laplace:
     @torch.no_grad()
     def spread(self, spread: Tensor, rays: Rays) -> Tensor:
         raw = self._raw(rays)
-        if self.config.faithful:  # D3
+        if self.config.reproduce_released_code:  # D3
             return (spread.square() + SPREAD_FLOOR).sqrt()[:, None] + raw
         return spread[:, None] + self.config.beta_min_m + raw
 
@@ -149,9 +149,9 @@ class Laplace:
         return 1 / self._color_beta(rays)
 
     @torch.no_grad()
-    def betas(self, frame: Frame, clues: Tensor) -> dict[str, Tensor]:
-        found, patch = {}, self.clue_patch
-        for sensor, images, net in zip(self.sensors, clues, self.depth_nets, strict=True):
+    def betas(self, frame: Frame, weighting_inputs: Tensor) -> dict[str, Tensor]:
+        found, patch = {}, self.patch_size
+        for sensor, images, net in zip(self.sensors, weighting_inputs, self.depth_nets, strict=True):
             depth = images[0]
             wrapped = torch.nn.functional.pad(images[None], (patch // 2,) * 4, mode="circular")
             patches = torch.nn.functional.unfold(wrapped, patch)[0].T  # (H * W, F * patch^2), feature by feature
@@ -166,7 +166,7 @@ class Laplace:
         return {} if self._nats is None else dict(zip(self.sensors, self._nats.tolist(), strict=True))
 
     def _raw(self, rays: Rays) -> Tensor:
-        return torch.stack([net(rays.clues[:, k]) for k, net in enumerate(self.depth_nets)], 1)
+        return torch.stack([net(rays.weighting_inputs[:, k]) for k, net in enumerate(self.depth_nets)], 1)
 
     def _color_beta(self, rays: Rays) -> Tensor:
         return self.config.beta_min_m + self.color_net(rays.color_patches)

@@ -110,7 +110,7 @@ class SenfunetVolume:
             else:
                 kept = weight + second.weight[:rows] > 0
             weight = weight + second.weight[:rows]
-        known = kept & (weight >= config.fusion.min_readings)
+        known = kept & (weight >= config.fusion.min_observations)
         count = self.colors[:rows, 3:]
         rgb = torch.where(count > 0, self.colors[:rows, :3] / count.clamp(min=1), 0.5)
         sigma = torch.full_like(sdf, self.before * self.grid.voxel_size_m)  # it says nothing about its own error

@@ -11,21 +11,21 @@ from torch import Tensor
 from ...core.camera import Camera
 from ...core.config.map_config import MapConfig
 from ...core.frame import Frame
-from ...mvs.bias_correction import SensorBiases
-from ...mvs.photometric_depth import ColorWitness
-from ...mvs.sensor_reliability import UNTESTED, statements, worth_of_readings
-from ...sensors.fault_detection import SensorHealth
-from ...sensors.fusion_weights import ReadingWeights
-from ...sensors.intervals import state_intervals
+from ...mvs.bias_correction import BiasCorrection
+from ...mvs.photometric_depth import PhotometricDepth
+from ...mvs.sensor_reliability import DEFAULT_RELIABILITY, estimate_reliability, statements
+from ...sensors.fault_detection import FaultDetector
+from ...sensors.fusion_weights import FusionWeights
+from ...sensors.intervals import fit_error_quantiles
 from ...sensors.noise_inputs import noise_features
 from ...sensors.noise_model import NoiseModel, Residuals
 from ...volume.sparse_grid import SparseGrid
-from ...volume.tsdf_surface import MapSurface
-from ...volume.tsdf_volume import FusionVolume
+from ...volume.tsdf_surface import TsdfSurface
+from ...volume.tsdf_volume import TsdfVolume
 from .fusion_log import FusionLog
 from .keyframes import KeyframeSelector
-from .ray_batch import RayReadings
-from .ray_buffer import RayStore
+from .ray_batch import RayBatch
+from .ray_buffer import RayBuffer
 
 _MAX_SELF_SHARE = 0.9  # readings that make up more of the map than this say nothing about themselves
 
@@ -39,18 +39,18 @@ class Mapper:
         self.generator = torch.Generator().manual_seed(config.seed)
         grid = SparseGrid(fusion.voxel_size_m, device)
         truncation = fusion.truncation_voxels * fusion.voxel_size_m
-        self.volume = FusionVolume(grid, camera, truncation, fusion.max_depth_m)
-        self.weights = ReadingWeights(fusion, sensors)
+        self.volume = TsdfVolume(grid, camera, truncation, fusion.max_depth_m)
+        self.weights = FusionWeights(fusion, sensors)
         self.noise = {s: NoiseModel(config.uncertainty, self.generator).to(device) for s in sensors}
-        self.bias = SensorBiases(camera, sensors, config.uncertainty, config.seed, device)
+        self.bias = BiasCorrection(camera, sensors, config.uncertainty, config.seed, device)
         self.intervals: dict[str, dict[str, float]] = {}  # in betas, by sensor and per cent; of the finished map
         self.selector = KeyframeSelector(camera, config.keyframes)
-        self.rays = RayStore(config.keyframes.max_rays)
+        self.rays = RayBuffer(config.keyframes.max_rays)
         self.log = FusionLog()  # used while poses can still change
         self.said = dict.fromkeys(sensors, 0.0)  # weight of all readings of each sensor in the map
-        self.witness = ColorWitness(camera, config.color, config.uncertainty, fusion.voxel_size_m, config.seed)
-        self._surface: MapSurface | None = None  # until something is fused
-        self.health = SensorHealth(camera, sensors, config.health, poses_given=not config.tracking.enabled)
+        self.witness = PhotometricDepth(camera, config.color, config.uncertainty, fusion.voxel_size_m, config.seed)
+        self._surface: TsdfSurface | None = None  # until something is fused
+        self.health = FaultDetector(camera, sensors, config.fault_detection, poses_given=not config.tracking.enabled)
 
     # --- one frame ---------------------------------------------------------------------------------------------
     def explore(self, frame: Frame, features: dict[str, Tensor], T_world_camera: Tensor) -> dict[str, Tensor]:
@@ -69,7 +69,7 @@ class Mapper:
         return self.fuse(frame, features, T_world_camera)
 
     def fuse(self, frame: Frame, features: dict[str, Tensor], T_world_camera: Tensor) -> dict[str, Tensor]:
-        """Fuse all sensors of a frame, readings weighted by their beta and what they are worth (`ReadingWeights`).
+        """Fuse all sensors of a frame, readings weighted by their beta and what they are worth (`FusionWeights`).
 
         Returns beta (H, W) metres by sensor.
         """
@@ -94,7 +94,7 @@ class Mapper:
         features: dict[str, Tensor],
         T_world_camera: Tensor,
         noise: dict[str, NoiseModel],
-        take_out_of: int | None = None,
+        deintegrate_block_count: int | None = None,
     ) -> dict[str, Tensor]:
         color, self._surface = frame.color.to(self.device), None
         betas = {}
@@ -103,9 +103,9 @@ class Mapper:
             if self.config.uncertainty.enabled:
                 betas[sensor] = noise[sensor].beta_image(depth, features[sensor].to(self.device))
                 weight, free_space = self.weights.of_image(betas[sensor], depth > 0, sensor)
-            self.volume.integrate(depth, weight, color, T_world_camera, free_space, take_out_of)
+            self.volume.integrate(depth, weight, color, T_world_camera, free_space, deintegrate_block_count)
             said = self._weight_near_surface(depth, weight)
-            self.said[sensor] += said if take_out_of is None else -said
+            self.said[sensor] += said if deintegrate_block_count is None else -said
         return betas
 
     def _weight_near_surface(self, depth: Tensor, weight: Tensor | None) -> float:
@@ -116,12 +116,12 @@ class Mapper:
         area = torch.where(depth < self.config.fusion.max_depth_m, depth, 0.0).square()
         return float((area if weight is None else area * weight).sum(dtype=torch.float64))
 
-    def sensor_share(self) -> dict[str, float]:
+    def weight_share(self) -> dict[str, float]:
         """Share of each sensor in the weights that decide where the surface of the map is; their sum is 1."""
         total = sum(self.said.values())
         return {sensor: said / total if total > 0 else 0.0 for sensor, said in self.said.items()}
 
-    def forget_readings(self) -> None:
+    def clear_volume(self) -> None:
         """Empty the map for another sweep; keep its blocks and what was learned."""
         self.volume.reset()
         self._surface = None
@@ -139,7 +139,7 @@ class Mapper:
 
     def judge(self, frame: Frame, T_world_camera: Tensor) -> Frame:
         """The frame, looked at by `health`, without the sensors that are at odds with the map as it is before it."""
-        if not self.volume.grid.rows or not self.config.health.enabled:
+        if not self.volume.grid.rows or not self.config.fault_detection.enabled:
             return frame
         if self._surface is None:
             self._surface = self.surface()
@@ -147,18 +147,18 @@ class Mapper:
         return self.health.compare(frame, predicted.cpu(), self.volume.max_depth_m)
 
     # --- the whole map -----------------------------------------------------------------------------------------
-    def learn(self, as_read: bool = False) -> dict[str, float]:
+    def learn(self, raw_target: bool = False) -> dict[str, float]:
         """Fit the noise models to the residuals of all keyframe rays against the whole map; returns the mean nats.
 
-        `as_read`: how far readings are off as they come, not once their bias is taken off; such that the intervals of
-        beta cover what they say, and those of the sensor are stated.
+        `raw_target`: residuals of the measurements as recorded, before bias correction, and the quantile objective;
+        the error quantiles of each sensor are updated.
         """
-        return self._learn(self.rays.columns, self.config.uncertainty.steps_per_sweep, fused=True, as_read=as_read)
+        return self._learn(self.rays.columns, self.config.uncertainty.steps_per_pass, fused=True, raw_target=raw_target)
 
-    def surface(self) -> MapSurface:
+    def surface(self) -> TsdfSurface:
         """What the map shows now."""
         volume = self.volume
-        return MapSurface(volume.grid, volume.sdf(), self.known(), volume.ray_far_m, volume.ray_step_m)
+        return TsdfSurface(volume.grid, volume.sdf(), self.known(), volume.ray_far_m, volume.ray_step_m)
 
     def add_colors(self) -> None:
         """Fuse what colour says about the surface; each view stands for the frames between it and the next."""
@@ -168,21 +168,21 @@ class Mapper:
             self.volume.allocate(depth, T_world_camera)
             self.volume.integrate(depth, weight, None, T_world_camera, free_space)
 
-    def weigh_sensors(self) -> None:
+    def estimate_reliability(self) -> None:
         """Find what readings of each sensor are worth; only once no frame will be taken out of the map again."""
         self.weights.worth = self._worth()
 
     def _worth(self) -> dict[str, float]:
-        """By sensor: found from colour that is known to be exact, unless settings say `UNTESTED`; 1 without it."""
+        """By sensor; 1 without validated photometric depth, `DEFAULT_RELIABILITY` if it is not to be estimated."""
         if not self.witness.confirmed:
             return dict.fromkeys(self.sensors, 1.0)
-        if not self.config.color.weigh_sensors:
-            return dict.fromkeys(self.sensors, UNTESTED)
-        nominal = ReadingWeights(self.config.fusion, self.sensors)
+        if not self.config.photometric.estimate_reliability:
+            return dict.fromkeys(self.sensors, DEFAULT_RELIABILITY)
+        nominal = FusionWeights(self.config.fusion, self.sensors)
         said = statements(self.witness, self.noise, self.bias.models, nominal, self.volume.truncation_m)
-        return worth_of_readings(said, self.witness.related(), self.volume.grid.voxel_size_m, self.sensors)
+        return estimate_reliability(said, self.witness.related(), self.volume.grid.voxel_size_m, self.sensors)
 
-    def readings_along_rays(self) -> list[RayReadings]:
+    def ray_batches(self) -> list[RayBatch]:
         """What the sensors read, without their biases, and what colour says.
 
         Betas are those of the finished map, of readings as they come: larger than what is left once a bias is off, and
@@ -190,16 +190,16 @@ class Mapper:
         """
         said = []
         if len(self.rays):
-            said.append(RayReadings.of_sensors(self.bias.corrected_rays(self.rays), self.noise, self.weights.worth))
-        if self.witness.testimony:
-            said.append(RayReadings.of_color(self.witness, self.device))
+            said.append(RayBatch.of_sensors(self.bias.correct_rays(self.rays), self.noise, self.weights.worth))
+        if self.witness.samples:
+            said.append(RayBatch.of_color(self.witness, self.device))
         return said
 
     def known(self) -> Tensor:
         """(R,) samples that enough readings saw."""
-        return self.volume.counts() >= self.config.fusion.min_readings
+        return self.volume.counts() >= self.config.fusion.min_observations
 
-    def _learn(self, rays: dict[str, Tensor], steps: int, fused: bool, as_read: bool = False) -> dict[str, float]:
+    def _learn(self, rays: dict[str, Tensor], steps: int, fused: bool, raw_target: bool = False) -> dict[str, float]:
         """`fused`: the map holds these rays already, which must be taken out of their own residuals."""
         hit = self.surface().cast(rays["origins"], rays["directions"])
         losses = {}
@@ -215,13 +215,13 @@ class Mapper:
                     residual, self.weights.of(model(inputs.float()), sensor), points
                 )
                 residual, inputs, offset = residual[trusted], inputs[trusted], offset[trusted]
-            own = Residuals.against_truth(residual + offset if as_read else residual, inputs)
+            own = Residuals.against_truth(residual + offset if raw_target else residual, inputs)
             heard = own
-            if fused and self.witness.testimony:
-                heard = own.joined(self.witness.against(column, None if as_read else bias))
-            losses[sensor] = model.learn(heard, steps, self.generator, for_intervals=as_read)
-            if as_read:
-                self.intervals[sensor] = state_intervals(model.in_betas(own))
+            if fused and self.witness.samples:
+                heard = own.joined(self.witness.against(column, None if raw_target else bias))
+            losses[sensor] = model.learn(heard, steps, self.generator, quantile_objective=raw_target)
+            if raw_target:
+                self.intervals[sensor] = fit_error_quantiles(model.in_betas(own))
         return losses
 
     @torch.no_grad()
@@ -273,7 +273,7 @@ class Mapper:
             "worth": self.weights.worth,
             "bias": self.bias.state_dict(),
             "intervals": self.intervals,
-            "health": self.health.state_dict(),
+            "fault_detection": self.health.state_dict(),
             "generator": self.generator.get_state(),
         }
 
@@ -291,5 +291,5 @@ class Mapper:
         self.weights.worth = dict(state["worth"])
         self.bias.load_state_dict(state["bias"])
         self.intervals = dict(state["intervals"])
-        self.health.load_state_dict(state["health"])
+        self.health.load_state_dict(state["fault_detection"])
         self.generator.set_state(state["generator"].cpu())

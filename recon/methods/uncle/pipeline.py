@@ -16,7 +16,7 @@ from ...core.device import choose_device
 from ...core.errors import DataError
 from ...core.events import Note, OnEvent, Progress, ignore
 from ...core.frame import Frame
-from ...mvs.bias_correction import TRIAL_VIEWS
+from ...mvs.bias_correction import CONSISTENCY_TEST_VIEWS
 from ...mvs.photometric_depth import MAX_REGISTRATION_PX
 from ...run.checkpoint import Checkpoint
 from ...run.frames import RunFrames
@@ -27,8 +27,8 @@ from ...tracking.factory import choose_tracker
 from ...volume.neural_field import NeuralField
 from ..base import OnBeta
 from .mapper import Mapper
-from .progress import Progression
-from .refined_field import refined_field
+from .progress import RunProgress
+from .refinement import refine_field
 
 
 @dataclass(frozen=True)
@@ -77,7 +77,7 @@ def reconstruct(
     tracker = choose_tracker(frames, config, mapper)
     progress = _restore(checkpoint, mapper, tracker, on_event)
     if progress is None:  # poses that moved need one more sweep
-        progress = Progression(last=max(config.fusion.sweeps, int(config.tracking.enabled)))
+        progress = RunProgress(last=max(config.fusion.passes, int(config.tracking.enabled)))
     while progress.sweep <= progress.last:
         sweep = progress.sweep
         for view in _sweep_views(frames, indices, sweep, mapper, tracker, progress, on_event):
@@ -92,12 +92,12 @@ def reconstruct(
             require_found(progress.poses, len(indices))
         _end_sweep(frames, mapper, tracker, progress, on_event)
         if sweep < progress.last:
-            mapper.forget_readings()
+            mapper.clear_volume()
         progress.sweep, progress.position = sweep + 1, 0
         if checkpoint.due() or sweep == progress.last:  # what follows writes much, and the disk may be full
             _save(checkpoint, mapper, tracker, progress)
     with progress.timed("refining"):
-        result, losses = refined_field(mapper, config, on_event)
+        result, losses = refine_field(mapper, config, on_event)
     with progress.timed("beta maps"):
         _write_betas(frames, sorted(progress.poses), mapper, on_beta, on_event)
     poses = {index: np.array(matrix) for index, matrix in progress.poses.items()}
@@ -106,17 +106,17 @@ def reconstruct(
     )
 
 
-def _explore(view: View, frames: RunFrames, mapper: Mapper, tracker: Tracker, progress: Progression) -> None:
+def _explore(view: View, frames: RunFrames, mapper: Mapper, tracker: Tracker, progress: RunProgress) -> None:
     """Track, judge the sensors, map, record."""
     frame, tracking = mapper.health.look(view.frame), mapper.config.tracking
     with progress.timed("tracking"):
-        T_world_camera = tracker.track(mapper.health.without_suspects(frame), view.prepared, view.features)
+        T_world_camera = tracker.track(mapper.health.without_faulty(frame), view.prepared, view.features)
     if T_world_camera is None:
         return
-    with progress.timed("sweep 1"):
+    with progress.timed("pass_1"):
         _follow(frames, mapper, tracker)
         frame = mapper.judge(frame, mapper.pose(T_world_camera))
-        if not tracking.enabled or tracker.is_keyframe() or progress.position % tracking.explore_every == 0:
+        if not tracking.enabled or tracker.is_keyframe() or progress.position % tracking.integrate_every == 0:
             mapper.explore(frame, view.features, mapper.pose(T_world_camera))
     progress.poses[frame.index] = np.asarray(T_world_camera).tolist()
 
@@ -134,7 +134,7 @@ def _follow(frames: RunFrames, mapper: Mapper, tracker: Tracker) -> None:
         mapper.refuse(view.frame, view.features, poses[view.frame.index])
 
 
-def _settle(mapper: Mapper, tracker: Tracker, progress: Progression) -> None:
+def _settle(mapper: Mapper, tracker: Tracker, progress: RunProgress) -> None:
     """The final poses take the place of those that were recorded on the way; the rays of the learner move along."""
     poses = tracker.finish()
     before = {i: entry.T_world_camera for i, entry in mapper.log.entries.items()}
@@ -143,16 +143,16 @@ def _settle(mapper: Mapper, tracker: Tracker, progress: Progression) -> None:
     progress.poses |= {index: pose.tolist() for index, pose in poses.items()}
 
 
-def _fuse(view: View, mapper: Mapper, progress: Progression) -> None:
+def _fuse(view: View, mapper: Mapper, progress: RunProgress) -> None:
     """Map again what was recorded."""
     recorded = progress.poses.get(view.frame.index)
     if recorded is None:
         return
-    with progress.timed(f"sweep {progress.sweep + 1}"):
+    with progress.timed(f"pass_{progress.sweep + 1}"):
         pose = mapper.pose(recorded)
         frame = mapper.bias.corrected(view.frame, view.features)
         moved = mapper.config.tracking.enabled or frame is not view.frame  # the camera or its readings, since exploring
-        if moved and (progress.sweep == 1 or mapper.bias.newly_believed):  # else by less than the truncation band
+        if moved and (progress.sweep == 1 or mapper.bias.newly_active):  # else by less than the truncation band
             for depth in frame.depths.values():
                 mapper.volume.allocate(depth.to(mapper.device), pose)
         mapper.fuse(frame, view.features, pose)
@@ -178,7 +178,7 @@ def _sweep_views(
     sweep: int,
     mapper: Mapper,
     tracker: Tracker,
-    progress: Progression,
+    progress: RunProgress,
     on_event: OnEvent,
 ) -> Iterator[View]:
     """What is left of a sweep, reported."""
@@ -191,45 +191,45 @@ def _sweep_views(
 
 
 def _end_sweep(
-    frames: RunFrames, mapper: Mapper, tracker: Tracker, progress: Progression, on_event: OnEvent
+    frames: RunFrames, mapper: Mapper, tracker: Tracker, progress: RunProgress, on_event: OnEvent
 ) -> None:  # fmt: skip
     """Complete the map by what colour says, and learn from the whole of it; ask colour while it finds something new."""
     if not mapper.volume.grid.rows:
         raise DataError("no frame could be mapped: no depth reading within range has a camera pose")
-    with progress.timed("colours"):
+    with progress.timed("photometric"):
         mapper.add_colors()
     if progress.sweep == 0:
         _learn(mapper, progress)
         with progress.timed("tracking"):
             _settle(mapper, tracker, progress)
-    with progress.timed("colours"):
-        heard = (progress.sweep == 0 or mapper.witness.wants_another_look()) and _hear_colors(
+    with progress.timed("photometric"):
+        heard = (progress.sweep == 0 or mapper.witness.needs_another_pass()) and _hear_colors(
             frames, mapper, progress, on_event
         )
     if heard or progress.sweep > 0:
         _learn(mapper, progress)
     if heard:
-        with progress.timed("colours"):
-            mapper.weigh_sensors()
+        with progress.timed("photometric"):
+            mapper.estimate_reliability()
 
 
-def _learn(mapper: Mapper, progress: Progression) -> None:
+def _learn(mapper: Mapper, progress: RunProgress) -> None:
     """What the whole map teaches the noise models; at last about the readings as they come."""
     if mapper.config.uncertainty.enabled:
         with progress.timed("learning"):
-            losses = mapper.learn(as_read=progress.sweep == progress.last)
+            losses = mapper.learn(raw_target=progress.sweep == progress.last)
         for sensor, loss in losses.items():
             if math.isfinite(loss):
-                progress.losses.setdefault(f"noise {sensor}", []).append(loss)
+                progress.losses.setdefault(f"noise/{sensor}", []).append(loss)
 
 
-def _hear_colors(frames: RunFrames, mapper: Mapper, progress: Progression, on_event: OnEvent) -> bool:
+def _hear_colors(frames: RunFrames, mapper: Mapper, progress: RunProgress, on_event: OnEvent) -> bool:
     """Ask colour, around the surface that the map shows, where it is; heard in the sweeps that follow.
 
     Returns whether it said anything.
     """
     config = mapper.config
-    if not (config.color.enabled and config.uncertainty.enabled and config.fusion.sweeps):
+    if not (config.photometric.enabled and config.uncertainty.enabled and config.fusion.passes):
         return False
     if frames.registration_sigma_px > MAX_REGISTRATION_PX:
         off = f"{frames.registration_sigma_px:g} px"
@@ -240,12 +240,12 @@ def _hear_colors(frames: RunFrames, mapper: Mapper, progress: Progression, on_ev
     loss = mapper.witness.look(frames, poses, surface, on_event)
     if loss is None:
         return False
-    progress.losses.setdefault("noise of colour", []).append(loss)
+    progress.losses.setdefault("noise/photometric", []).append(loss)
     for number, view in enumerate(_views(frames, mapper.witness.indices, mapper)):
-        mapper.witness.confront(view.frame, view.features, number, surface)
-    tried = mapper.witness.indices[:: 1 + len(mapper.witness.indices) // TRIAL_VIEWS]
+        mapper.witness.sample_view(view.frame, view.features, number, surface)
+    tried = mapper.witness.indices[:: 1 + len(mapper.witness.indices) // CONSISTENCY_TEST_VIEWS]
     mapper.bias.hear(mapper.witness, ((view.frame, view.features) for view in _views(frames, tried, mapper)))
-    if mapper.witness.wants_another_look():  # after the next sweep, and one more that hears what it then says
+    if mapper.witness.needs_another_pass():  # after the next sweep, and one more that hears what it then says
         progress.last = max(progress.last, progress.sweep + 2)
     return True
 
@@ -263,18 +263,18 @@ def _write_betas(frames: RunFrames, indices: list[int], mapper: Mapper, on_beta:
     on_event(Progress(stage, len(indices), len(indices)))
 
 
-def _save(checkpoint: Checkpoint, mapper: Mapper, tracker: Tracker, progress: Progression) -> None:
+def _save(checkpoint: Checkpoint, mapper: Mapper, tracker: Tracker, progress: RunProgress) -> None:
     checkpoint.save(
         {"mapper": mapper.state_dict(), "tracker": tracker.state_dict(), "progress": dict(vars(progress))}
     )  # fmt: skip
 
 
-def _restore(checkpoint: Checkpoint, mapper: Mapper, tracker: Tracker, on_event: OnEvent) -> Progression | None:
+def _restore(checkpoint: Checkpoint, mapper: Mapper, tracker: Tracker, on_event: OnEvent) -> RunProgress | None:
     state: dict[str, Any] | None = checkpoint.load()
     if state is None:
         return None
     mapper.load_state_dict(state["mapper"])
     tracker.load_state_dict(state["tracker"])
-    progress = Progression(**state["progress"])
+    progress = RunProgress(**state["progress"])
     on_event(Note(f"continuing at sweep {progress.sweep + 1}, frame {progress.position}"))
     return progress

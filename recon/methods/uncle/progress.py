@@ -8,7 +8,7 @@ from ...core.timing import Timed
 
 
 @dataclass(kw_only=True)
-class Progression(Timed):
+class RunProgress(Timed):
     """The last sweep that is planned, the present one, the next position in it, and what was recorded on the way.
 
     Poses are T_world_camera by frame index, losses (nats) by name.

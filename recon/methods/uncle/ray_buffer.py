@@ -6,7 +6,7 @@ import torch
 from torch import Tensor
 
 
-class RayStore:
+class RayBuffer:
     """Pixels of the keyframes with all that learning needs; of bounded size.
 
     frames (N,) int64 indices; origins, directions (N, 3); depths (N, sensors) metres, 0 = no reading;

@@ -10,13 +10,16 @@ import torch
 from torch import Tensor
 
 from ...core.adam import Adam
+from ...core.config.map_config import MapConfig
 from ...core.config.uncle import FieldConfig
 from ...core.events import OnEvent, ignore, track_progress
+from ...sensors.fusion_weights import WEIGHT_SCALE_M
 from ...sensors.likelihood import laplace_nll
 from ...volume.neural_field import NeuralField
 from ...volume.raycast import cast_rays
 from ...volume.rendering import render_depth, render_values, sdf_weights
-from .ray_batch import RayReadings
+from .mapper import Mapper
+from .ray_batch import RayBatch
 
 SPAN_VOXELS = 2.5  # samples reach this far before and behind the present surface
 SHARPNESS_VOXELS = 0.4  # the bell must end within the span, or the rendered depth follows the surface only in part
@@ -33,7 +36,7 @@ class RenderedRays:
     known: Tensor
 
 
-def surface_depths(field: NeuralField, sdf: Tensor, rays: RayReadings, far_m: float, step_m: float) -> Tensor:
+def surface_depths(field: NeuralField, sdf: Tensor, rays: RayBatch, far_m: float, step_m: float) -> Tensor:
     """(N,) z-depth at which each ray meets the field, of which `sdf` is the table, metres; 0 = it does not."""
     return cast_rays(field.grid, sdf, field.known, rays.origins, rays.directions, far_m, step_m)
 
@@ -52,7 +55,7 @@ def render_rays(field: NeuralField, origins: Tensor, directions: Tensor, z: Tens
 
 def refine(
     field: NeuralField,
-    readings: Sequence[RayReadings],
+    readings: Sequence[RayBatch],
     config: FieldConfig,
     far_m: float,
     step_m: float,
@@ -94,17 +97,17 @@ def refine(
 class _Draw:
     """Rays to draw from: `usable` (U,) rows of `rays` meet the field, at the depths `surface` (N,) metres."""
 
-    rays: RayReadings
+    rays: RayBatch
     surface: Tensor
     usable: Tensor
 
     @staticmethod
-    def of(rays: RayReadings, surface: Tensor) -> _Draw:
+    def of(rays: RayBatch, surface: Tensor) -> _Draw:
         return _Draw(rays, surface, (surface > 0).nonzero()[:, 0])
 
     def some(
         self, count: int, samples: int, voxel_size_m: float, generator: torch.Generator
-    ) -> tuple[RayReadings, Tensor]:
+    ) -> tuple[RayBatch, Tensor]:
         """`count` of the rays, and on each `samples` stratified depths (count, samples) around the surface."""
         picks = torch.randint(len(self.usable), (count,), generator=generator)
         rows = self.usable[picks.to(self.usable.device)]
@@ -124,7 +127,7 @@ class _Terms:
     color: Tensor
 
 
-def _terms(field: NeuralField, rays: RayReadings, z: Tensor) -> _Terms:
+def _terms(field: NeuralField, rays: RayBatch, z: Tensor) -> _Terms:
     rendered = render_rays(field, rays.origins, rays.directions, z)
     used = rendered.known[:, None] & (rays.depths > 0)
     nats = laplace_nll((rays.depths - rendered.depth[:, None])[used], rays.betas[used])
@@ -143,3 +146,24 @@ def _loss(field: NeuralField, terms: list[_Terms], config: FieldConfig) -> tuple
     prior = (field.fine[:, 0] / field.grid.voxel_size_m).square().mean()
     loss = likelihood + config.color_weight * sum(term.color for term in terms) + config.prior_weight * prior
     return loss, sum(term.nats for term in terms) / count
+
+
+LEARNING_RATE_FACTOR_WITHOUT_PHOTOMETRIC = 0.1  # of the step size of the feature grids, where colour says nothing
+
+
+def refine_field(mapper: Mapper, config: MapConfig, on_event: OnEvent = ignore) -> tuple[NeuralField, list[float]]:
+    """The field, and the mean negative log-likelihood of each step of its refinement, nats."""
+    generator = torch.Generator().manual_seed(config.seed)
+    stated = WEIGHT_SCALE_M if config.uncertainty.enabled else None
+    field = NeuralField.from_fusion(mapper.volume, config.fusion.min_observations, config.field, generator, stated)
+    far_m, step_m = mapper.volume.ray_far_m, mapper.volume.ray_step_m
+    readings = mapper.ray_batches() if config.field.iterations else []
+    losses = refine(field, readings, field_settings(mapper, config.field), far_m, step_m, generator, on_event)
+    return field, losses
+
+
+def field_settings(mapper: Mapper, config: FieldConfig) -> FieldConfig:
+    """Sensors alone repeat the errors that the fused map has, or was cured of: without colour it is to move less."""
+    if mapper.witness.samples:
+        return config
+    return config.model_copy(update={"learning_rate": LEARNING_RATE_FACTOR_WITHOUT_PHOTOMETRIC * config.learning_rate})

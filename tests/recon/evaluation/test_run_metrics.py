@@ -26,7 +26,7 @@ def mapped_run(make_box_run, box_room) -> RunDirectory:
     run = make_box_run()
     walls = box_room.mesh(grow_m=0.01)
     colors = np.full((len(walls.vertices), 3), 90, np.uint8)
-    replace(walls, colors=colors, confidence=np.full(len(walls.vertices), 0.02, np.float32)).save(run.mesh_path)
+    replace(walls, colors=colors, sigma=np.full(len(walls.vertices), 0.02, np.float32)).save(run.mesh_path)
     true = Trajectory.load(run.reference_trajectory_path)
     poses = true.T_world_camera.copy()
     poses[:, 2, 3] += 0.03
@@ -104,7 +104,7 @@ def test_uncertainty_of_a_sensor_that_states_its_scale(mapped_run):
 def test_stated_intervals_of_a_sensor_are_scored_where_the_map_has_them(mapped_run):
     assert evaluate_run(mapped_run, QUICK).uncertainty["noisy"].stated_coverage_50 is None
     stated = {"noisy": {"50": np.log(2), "90": 2 * np.log(10)}}
-    mapped_run.finish_stage("map", "1", time.time(), {"sensors": ["noisy"], "intervals_in_betas": stated})
+    mapped_run.finish_stage("map", "1", time.time(), {"sensors": ["noisy"], "error_quantiles_in_beta": stated})
     noisy = evaluate_run(mapped_run, QUICK).uncertainty["noisy"]
     assert noisy.stated_coverage_50 == noisy.coverage_50
     assert noisy.stated_coverage_90 == pytest.approx(0.99, abs=0.01)
@@ -112,17 +112,17 @@ def test_stated_intervals_of_a_sensor_are_scored_where_the_map_has_them(mapped_r
 
 def test_confidence_of_vertices_is_compared_with_their_distance(mapped_run):
     """The corners are off by 1 cm on three sides, sqrt(3) cm, and state 2 cm."""
-    metrics = evaluate_run(mapped_run, QUICK).surface.confidence
+    metrics = evaluate_run(mapped_run, QUICK).surface.vertex_sigma
     assert metrics.vertices == 8
     assert metrics.median_in_sigmas == pytest.approx(np.sqrt(3) / 2, rel=1e-3)
     assert (metrics.coverage_1_sigma, metrics.coverage_2_sigma, metrics.rank_correlation) == (1.0, 1.0, None)
 
 
-def test_a_mesh_without_confidence_says_so(mapped_run, box_room):
+def test_a_mesh_without_sigma_says_so(mapped_run, box_room):
     box_room.mesh().save(mapped_run.mesh_path)
     metrics = evaluate_run(mapped_run, QUICK)
-    assert metrics.surface.confidence is None
-    assert "no confidence" in metrics.skipped["confidence"]
+    assert metrics.surface.vertex_sigma is None
+    assert "no sigma" in metrics.skipped["vertex_sigma"]
 
 
 def test_reasons_are_given_for_what_is_not_there(make_box_run, box_room):

@@ -55,7 +55,7 @@ def test_what_sensors_count_comes_from_the_map_stage(make_box_run):
     run = make_box_run(angles=np.zeros(1))
     assert standing_of(run, "sl") == Standing()
     for recorded, known in (({"sl": 0.75}, 0.75), ({"sl": 1}, 1.0), ({"sl": "much"}, None), ({}, None), ([1], None)):
-        run.finish_stage("map", "0", time.time(), {"sensor_share": recorded})
+        run.finish_stage("map", "0", time.time(), {"sensor_weight_share": recorded})
         assert standing_of(run, "sl") == Standing(map_share=known)
-        run.finish_stage("map", "0", time.time(), {"sensor_share": {"sl": 0.5}, "reading_worth": recorded})
+        run.finish_stage("map", "0", time.time(), {"sensor_weight_share": {"sl": 0.5}, "sensor_reliability": recorded})
         assert standing_of(run, "sl") == Standing(0.5, known)

@@ -70,7 +70,7 @@ class Plane:
         return NeuralField(grid, base, base[:, 0].abs(), known, plain, torch.Generator())
 
     def curves(self):
-        return {"noise gt": [float(self.height)]}
+        return {"noise/gt": [float(self.height)]}
 
     def keyframes(self):
         return len(self.mapped)
@@ -88,7 +88,7 @@ class Plane:
 
 @pytest.fixture(autouse=True)
 def plane_system(monkeypatch):
-    monkeypatch.setitem(methods.SYSTEMS, "uncle", Plane)
+    monkeypatch.setitem(methods.ONLINE_METHODS, "uncle", Plane)
     monkeypatch.setattr(map_stage, "Checkpoint", partial(Checkpoint, interval_s=0.0))
     calls.clear()
 
@@ -99,7 +99,7 @@ def settings(track: bool = False, **top_level):
 
 def results(run):
     paths = [run.trajectory_path, run.curves_path, *sorted((run.root / "beta").rglob("*.png"))]
-    fields = load_field(run).base.numpy().tobytes() + load_tensors(run.system_path)["height"].numpy().tobytes()
+    fields = load_field(run).base.numpy().tobytes() + load_tensors(run.method_state_path)["height"].numpy().tobytes()
     return [path.read_bytes() for path in paths] + [fields]
 
 
@@ -113,7 +113,9 @@ def test_given_poses_map_every_fifth_frame_and_the_last(make_mappable_run):
     assert record.facts["keyframes"] == 4
     assert set(record.facts["seconds"]) == {"mapping", "surface", "beta maps"}
     assert len(list((run.root / "beta").rglob("*.png"))) == 12
-    assert RunFrames(run).beta(7, "gt").max() == pytest.approx(float(load_tensors(run.system_path)["height"]), abs=1e-4)
+    assert RunFrames(run).beta(7, "gt").max() == pytest.approx(
+        float(load_tensors(run.method_state_path)["height"]), abs=1e-4
+    )
     assert not run.checkpoint_path.exists()
 
 

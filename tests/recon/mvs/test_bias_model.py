@@ -5,7 +5,7 @@ import pytest
 import torch
 from uncle.recon.core.camera import Camera
 from uncle.recon.core.config.uncle import UncertaintyConfig
-from uncle.recon.mvs.bias_model import MIN_VIEWS, BiasTrial, SensorBias
+from uncle.recon.mvs.bias_model import MIN_VIEWS, BiasModel, CrossViewConsistencyTest
 from uncle.recon.sensors.noise_inputs import FEATURES, noise_features, relative_spread
 from uncle.recon.sensors.noise_model import Residuals
 
@@ -22,12 +22,12 @@ def smooth(features: torch.Tensor) -> torch.Tensor:
     return features
 
 
-def taught_bias(metres: float) -> SensorBias:
+def taught_bias(metres: float) -> BiasModel:
     """One that learned, through noise of 5 cm, that readings at depth feature x are `metres` * x too far."""
     features = smooth(torch.randn(20_000, len(FEATURES), generator=generator(1)))
     uniform = torch.rand(20_000, generator=generator(2)) - 0.5
     noise = -0.05 * uniform.sign() * torch.log1p(-2 * uniform.abs())
-    bias = SensorBias(CONFIG, generator())
+    bias = BiasModel(CONFIG, generator())
     off = metres * features[:, 0] + noise
     bias.learn(Residuals(off, features, torch.full_like(off, 0.05)), 300, generator())
     return bias
@@ -47,7 +47,7 @@ def test_takes_nothing_off_unless_believed():
     assert bias.of(features) == 0.0
     bias.believed.fill_(True)
     assert torch.equal(bias.of(features), bias(features).detach())
-    again = SensorBias(CONFIG, generator(9))
+    again = BiasModel(CONFIG, generator(9))
     again.load_state_dict(bias.state_dict())
     assert again.believed
     assert torch.equal(again.of(features), bias.of(features))
@@ -62,7 +62,7 @@ def test_a_bias_counts_where_it_is_more_than_colours_own_can_be(beta_m, voxel_si
     nothing = torch.zeros(len(features))
     features[: 6 * len(features) // 10, FEATURES.index("spread_7")] = 1.0  # beside edges, where it says nothing
     heard = Residuals(nothing, features, nothing + beta_m)
-    assert taught_bias(0.03).exceeds_that_of(heard, voxel_size_m) == exceeds
+    assert taught_bias(0.03).exceeds_photometric_bias(heard, voxel_size_m) == exceeds
 
 
 def test_corrects_readings_and_leaves_holes():
@@ -104,14 +104,14 @@ def test_the_spread_of_depth_is_read_from_the_features():
 
 
 # --- the trial ---------------------------------------------------------------------------------------------------
-def share_better(room, read, corrected, views: int = 8) -> float | None:
+def improved_fraction(room, read, corrected, views: int = 8) -> float | None:
     """The camera walks towards a wall; `read`, `corrected` are functions of the true depth."""
-    trial = BiasTrial()
+    trial = CrossViewConsistencyTest()
     for step in range(views):
         pose = room.pose(0.05 * step, (1.2 + 0.15 * step, 1.5, 1.2))
         true = torch.from_numpy(room.depth(pose)).float()
         trial.add(read(true), corrected(true), pose)
-    return trial.share_better(room.camera, seed=0)
+    return trial.improved_fraction(room.camera, seed=0)
 
 
 def too_far(depth):
@@ -123,26 +123,26 @@ def as_it_is(depth):
 
 
 def test_an_offset_that_is_there_is_confirmed(box_room):
-    assert share_better(box_room, too_far, as_it_is) == 1.0
+    assert improved_fraction(box_room, too_far, as_it_is) == 1.0
 
 
 def test_an_offset_that_is_not_there_is_refused(box_room):
-    assert share_better(box_room, as_it_is, too_far) == 0.0
+    assert improved_fraction(box_room, as_it_is, too_far) == 0.0
 
 
 def test_half_of_it_still_helps_and_three_times_as_much_does_not(box_room):
-    assert share_better(box_room, too_far, lambda d: d * (1 + 0.01 * d)) == 1.0
-    assert share_better(box_room, too_far, lambda d: d * (1 - 0.04 * d)) == 0.0
+    assert improved_fraction(box_room, too_far, lambda d: d * (1 + 0.01 * d)) == 1.0
+    assert improved_fraction(box_room, too_far, lambda d: d * (1 - 0.04 * d)) == 0.0
 
 
 def test_what_changes_nothing_is_not_believed(box_room):
-    assert share_better(box_room, too_far, too_far) == 0.0
+    assert improved_fraction(box_room, too_far, too_far) == 0.0
 
 
 def test_too_few_views_confirm_nothing(box_room):
-    assert share_better(box_room, too_far, as_it_is, views=MIN_VIEWS) is None
-    blind = BiasTrial()
+    assert improved_fraction(box_room, too_far, as_it_is, views=MIN_VIEWS) is None
+    blind = CrossViewConsistencyTest()
     for _ in range(9):
         blind.add(torch.zeros(120, 160), torch.zeros(120, 160), np.eye(4))
-    assert blind.share_better(box_room.camera, 0) is None
-    assert BiasTrial().share_better(box_room.camera, 0) is None
+    assert blind.improved_fraction(box_room.camera, 0) is None
+    assert CrossViewConsistencyTest().improved_fraction(box_room.camera, 0) is None

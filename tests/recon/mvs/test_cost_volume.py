@@ -6,7 +6,7 @@ from numpy.lib.stride_tricks import sliding_window_view
 from scipy.ndimage import gaussian_filter, map_coordinates
 from scipy.spatial.transform import Rotation
 from uncle.recon.core.camera import Camera
-from uncle.recon.mvs.cost_volume import NOISE, WINDOW, GreyView, agreement_volume, texture
+from uncle.recon.mvs.cost_volume import NOISE, WINDOW, GreyView, texture, zncc_volume
 
 CAMERA = Camera(48, 36, 40.0, 42.0, 23.0, 18.0)
 HALF = WINDOW // 2
@@ -19,7 +19,7 @@ def windows(image: np.ndarray) -> np.ndarray:
 
 
 def slow_agreement(reference: GreyView, sources: list[GreyView], inverse: np.ndarray) -> np.ndarray:
-    """(H, W) `agreement_volume` of one layer, in double precision, pixel by pixel."""
+    """(H, W) `zncc_volume` of one layer, in double precision, pixel by pixel."""
     v, u = np.mgrid[: CAMERA.height, : CAMERA.width]
     rays = np.stack([(u - CAMERA.cx) / CAMERA.fx, (v - CAMERA.cy) / CAMERA.fy, np.ones(u.shape)], -1)
     world = rays / inverse[..., None] @ reference.T_world_camera[:3, :3].T + reference.T_world_camera[:3, 3]
@@ -61,7 +61,7 @@ def test_agreement_is_the_mean_zncc_of_the_better_half_of_those_who_look(count):
     ][:count]
     inverse = (0.5 + 0.1 * np.random.default_rng(9).random((CAMERA.height, CAMERA.width))).astype(np.float32)
     offsets = np.array([-0.05, 0.0, 0.08])
-    volume = agreement_volume(CAMERA, reference, sources, inverse, offsets)
+    volume = zncc_volume(CAMERA, reference, sources, inverse, offsets)
     assert volume.shape == (3, CAMERA.height, CAMERA.width)
     for layer, offset in zip(volume, offsets, strict=True):
         expected = slow_agreement(reference, sources, inverse + offset)
@@ -75,7 +75,7 @@ def test_agreement_is_the_mean_zncc_of_the_better_half_of_those_who_look(count):
 def test_nobody_looks_there():
     away = view(1, turn=(0.0, np.pi, 0.0))
     flat = np.full((CAMERA.height, CAMERA.width), 0.5, np.float32)
-    assert (agreement_volume(CAMERA, view(0), [away], flat, np.zeros(1)) == -1).all()
+    assert (zncc_volume(CAMERA, view(0), [away], flat, np.zeros(1)) == -1).all()
 
 
 def test_exposure_does_not_matter():
@@ -83,7 +83,7 @@ def test_exposure_does_not_matter():
     same = GreyView(1, here.grey, here.T_world_camera)
     brighter = GreyView(1, 1.4 * here.grey + 30, here.T_world_camera)
     negative = GreyView(1, 255 - here.grey, here.T_world_camera)
-    agreement = [agreement_volume(CAMERA, here, [other], flat, np.zeros(1))[0] for other in (same, brighter, negative)]
+    agreement = [zncc_volume(CAMERA, here, [other], flat, np.zeros(1))[0] for other in (same, brighter, negative)]
     inner = np.s_[HALF + 1 : -HALF - 1, HALF + 1 : -HALF - 1]
     assert agreement[0][inner].min() > 0.98
     assert agreement[1][inner].min() > 0.98
@@ -94,7 +94,7 @@ def test_exposure_does_not_matter():
 def test_flat_images_neither_agree_nor_disagree(level):
     image = np.full((CAMERA.height, CAMERA.width), level, np.float32)
     here, there = GreyView(0, image, view(0).T_world_camera), GreyView(1, image, view(1, 0.1).T_world_camera)
-    volume = agreement_volume(CAMERA, here, [there], np.full_like(image, 0.5), np.zeros(1))
+    volume = zncc_volume(CAMERA, here, [there], np.full_like(image, 0.5), np.zeros(1))
     assert (volume > -1).mean() > 0.3
     assert np.abs(volume[volume > -1]).max() < 1e-2
 

@@ -6,25 +6,25 @@ import numpy as np
 import pytest
 import torch
 from uncle.recon.core.config.map_config import make_config
-from uncle.recon.core.config.uncle import ColorConfig, UncertaintyConfig
+from uncle.recon.core.config.uncle import PhotometricConfig, UncertaintyConfig
 from uncle.recon.core.events import Progress
 from uncle.recon.core.frame import Frame
 from uncle.recon.core.mesh_raycaster import Surface
 from uncle.recon.methods.uncle import pipeline
 from uncle.recon.methods.uncle.mapper import Mapper
-from uncle.recon.methods.uncle.ray_batch import RayReadings
-from uncle.recon.mvs.bias_model import CONFIRMED, REFUTED, BiasTrial, SensorBias
-from uncle.recon.mvs.photometric_depth import FULL_SIZE_PIXELS, ColorWitness
+from uncle.recon.methods.uncle.ray_batch import RayBatch
+from uncle.recon.mvs.bias_model import CONFIRMED, REFUTED, BiasModel, CrossViewConsistencyTest
+from uncle.recon.mvs.photometric_depth import FULL_SIZE_PIXELS, PhotometricDepth
 from uncle.recon.mvs.plane_sweep import MIN_SOURCES
-from uncle.recon.mvs.sensor_reliability import UNTESTED
+from uncle.recon.mvs.sensor_reliability import DEFAULT_RELIABILITY
 from uncle.recon.run.checkpoint import Checkpoint
 from uncle.recon.run.frames import RunFrames
 
 STEPS = UncertaintyConfig(steps_per_sweep=150, learning_rate=0.01)
 VOXEL_M = 0.05
 QUICK = [
-    "fusion.voxel_size_m=0.05", "fusion.min_readings=2", "keyframes.rays=500", "field.iterations=0",
-    "uncertainty.steps_per_keyframe=4", "uncertainty.steps_per_sweep=120", "uncertainty.learning_rate=0.01",
+    "fusion.voxel_size_m=0.05", "fusion.min_observations=2", "keyframes.rays=500", "field.iterations=0",
+    "uncertainty.steps_per_keyframe=4", "uncertainty.steps_per_pass=120", "uncertainty.learning_rate=0.01",
 ]  # fmt: skip
 
 
@@ -63,7 +63,7 @@ class OffSurface:
     def depth_from(self, camera, T_world_camera):
         return (replace(self.room, camera=camera).depth(T_world_camera) * self.scale).astype(np.float32)
 
-    def typical_distance(self, camera, T_world_camera):
+    def median_depth(self, camera, T_world_camera):
         return float(np.median(self.depth_from(camera, T_world_camera)))
 
 
@@ -89,9 +89,9 @@ def walk(box_room) -> list[np.ndarray]:
     ]
 
 
-def witness_of(room, walk, scale=1.04, config=None, **paint) -> tuple[ColorWitness, float | None]:
+def witness_of(room, walk, scale=1.04, config=None, **paint) -> tuple[PhotometricDepth, float | None]:
     frames = RoomFrames(room, walk, **paint)
-    witness = ColorWitness(room.camera, config or ColorConfig(), STEPS, VOXEL_M, seed=0)
+    witness = PhotometricDepth(room.camera, config or PhotometricConfig(), STEPS, VOXEL_M, seed=0)
     return witness, witness.look(frames, dict(enumerate(walk)), OffSurface(room, scale))
 
 
@@ -144,7 +144,7 @@ def test_large_images_are_halved_and_come_back_at_full_size(box_room, walk):
 
 def test_the_view_of_an_odd_size_covers_the_same_field(box_room):
     camera = box_room.camera.resized(641, 481)
-    small = ColorWitness(camera, ColorConfig(), STEPS, VOXEL_M, 0).camera
+    small = PhotometricDepth(camera, PhotometricConfig(), STEPS, VOXEL_M, 0).camera
     edges = [
         ((-0.5 - c.cx) / c.fx, (c.width - 0.5 - c.cx) / c.fx, (c.height - 0.5 - c.cy) / c.fy) for c in (camera, small)
     ]
@@ -156,7 +156,7 @@ def test_views_are_chosen_where_the_camera_moved_and_no_more_than_allowed(box_ro
     witness, _ = witness_of(box_room, slow)
     assert len(witness.depths) == len(walk)
     assert witness.frames_per_view == 3.0
-    few, _ = witness_of(box_room, walk, config=ColorConfig(max_views=5))
+    few, _ = witness_of(box_room, walk, config=PhotometricConfig(max_views=5))
     assert len(few.depths) == 5
     assert few.frames_per_view == 2.0
 
@@ -165,7 +165,7 @@ def test_same_seed_same_readings_and_state_comes_back(box_room, walk):
     first, loss = witness_of(box_room, walk[:6])
     second, again = witness_of(box_room, walk[:6])
     assert loss == again
-    restored = ColorWitness(box_room.camera, ColorConfig(), STEPS, VOXEL_M, 1)
+    restored = PhotometricDepth(box_room.camera, PhotometricConfig(), STEPS, VOXEL_M, 1)
     restored.load_state_dict(first.state_dict())
     assert restored.frames_per_view == first.frames_per_view
     for other in (second, restored):
@@ -177,11 +177,11 @@ def test_same_seed_same_readings_and_state_comes_back(box_room, walk):
 def test_colour_that_is_exact_is_asked_again_where_it_found_another_surface(box_room, walk, scale, exact, again):
     witness, _ = witness_of(box_room, walk, scale=scale)
     witness.confirmed = exact
-    assert witness.wants_another_look() == again
-    for _ in range(ColorConfig().looks - 1):
-        assert witness.wants_another_look() == again
+    assert witness.needs_another_pass() == again
+    for _ in range(PhotometricConfig().passes - 1):
+        assert witness.needs_another_pass() == again
         witness.look(RoomFrames(box_room, walk), dict(enumerate(walk)), OffSurface(box_room, 1.0))
-    assert not witness.wants_another_look()
+    assert not witness.needs_another_pass()
 
 
 def test_what_is_kept_of_a_view_lies_on_the_map(box_room, walk):
@@ -190,8 +190,8 @@ def test_what_is_kept_of_a_view_lies_on_the_map(box_room, walk):
     view = 3
     frame = RoomFrames(box_room, walk, scale=1.04)[view]
     features = {"stereo": torch.zeros(*frame.depths["stereo"].shape, 2)}
-    witness.confront(frame, features, view, RoomSurface(box_room))
-    told = witness.testimony
+    witness.sample_view(frame, features, view, RoomSurface(box_room))
+    told = witness.samples
     assert set(told["views"].tolist()) == {view}
     expected, points = told["expected"].numpy(), witness.points().numpy()
     np.testing.assert_allclose(witness.origins(), np.broadcast_to(walk[view][:3, 3], points.shape), atol=1e-6)
@@ -204,7 +204,7 @@ def test_what_is_kept_of_a_view_lies_on_the_map(box_room, walk):
 
 
 def test_views_are_related_if_they_were_compared_with_the_same_image(box_room, walk):
-    witness = ColorWitness(box_room.camera, ColorConfig(), STEPS, VOXEL_M, 0)
+    witness = PhotometricDepth(box_room.camera, PhotometricConfig(), STEPS, VOXEL_M, 0)
     witness.indices, witness.sources = [0, 5, 10, 15], [[5], [20], [20, 30], [40]]
     related = [[1, 1, 0, 0], [1, 1, 1, 0], [0, 1, 1, 0], [0, 0, 0, 1]]
     np.testing.assert_array_equal(witness.related(), np.array(related, dtype=bool))
@@ -243,10 +243,10 @@ def test_an_empty_map(box_room, walk):
         def depth_from(self, camera, T_world_camera):
             return np.zeros((camera.height, camera.width), np.float32)
 
-        def typical_distance(self, camera, T_world_camera):
+        def median_depth(self, camera, T_world_camera):
             return None
 
-    witness = ColorWitness(box_room.camera, ColorConfig(), STEPS, VOXEL_M, 0)
+    witness = PhotometricDepth(box_room.camera, PhotometricConfig(), STEPS, VOXEL_M, 0)
     assert witness.look(RoomFrames(box_room, walk), dict(enumerate(walk)), Nothing(box_room, 1.0)) is None
 
 
@@ -269,17 +269,17 @@ def off_by(room, mapper: Mapper, walk) -> float:
 
 def check_rays_of_the_refinement(room, with_colors: Mapper, without: Mapper) -> None:
     """Sensors without the bias that colour found, as far as they are worth, and colour itself; else sensors as read."""
-    sensors, color = with_colors.readings_along_rays()
-    assert sensors.worth.tolist() == pytest.approx([UNTESTED])
+    sensors, color = with_colors.ray_batches()
+    assert sensors.worth.tolist() == pytest.approx([DEFAULT_RELIABILITY])
     assert color.worth.tolist() == [1.0]
     assert abs(beyond_walls(room, sensors)) < 0.012
     assert abs(beyond_walls(room, color)) < 0.006
-    (alone,) = without.readings_along_rays()
+    (alone,) = without.ray_batches()
     assert alone.worth.tolist() == [1.0]
     assert beyond_walls(room, alone) == pytest.approx(0.04, abs=1e-3)
 
 
-def beyond_walls(room, rays: RayReadings) -> float:
+def beyond_walls(room, rays: RayBatch) -> float:
     """Median share of the depth by which readings of the first source lie beyond the walls along their rays."""
     read = (rays.depths[:, 0] > 0).numpy()
     met = Surface(room.mesh()).cast(rays.origins.numpy()[read], rays.directions.numpy()[read])
@@ -288,17 +288,17 @@ def beyond_walls(room, rays: RayReadings) -> float:
 
 def test_the_map_overcomes_a_bias_that_its_only_sensor_always_has(box_room, walk, tmp_path):
     with_colors = reconstructed(box_room, walk, tmp_path / "a")
-    without = reconstructed(box_room, walk, tmp_path / "b", "color.enabled=false")
-    assert len(with_colors.curves["noise of colour"]) == 3  # asked again: the first surface was off
+    without = reconstructed(box_room, walk, tmp_path / "b", "photometric.enabled=false")
+    assert len(with_colors.curves["noise/photometric"]) == 3  # asked again: the first surface was off
     assert "sweep 4" in with_colors.seconds
-    assert "sweep 3" not in without.seconds
-    assert "noise of colour" not in without.curves
+    assert "pass_3" not in without.seconds
+    assert "noise/photometric" not in without.curves
     assert not without.mapper.witness.depths
     assert off_by(box_room, without.mapper, walk) == pytest.approx(0.04, abs=0.006)
     assert off_by(box_room, with_colors.mapper, walk) < 0.006
     assert with_colors.mapper.bias.confirmed["stereo"] >= CONFIRMED
     assert with_colors.mapper.witness.confirmed
-    assert with_colors.mapper.weights.worth == {"stereo": UNTESTED}  # all views have an image in common
+    assert with_colors.mapper.weights.worth == {"stereo": DEFAULT_RELIABILITY}  # all views have an image in common
     assert not without.mapper.bias.confirmed
     assert without.mapper.weights.worth == {"stereo": 1.0}
     check_rays_of_the_refinement(box_room, with_colors.mapper, without.mapper)
@@ -333,13 +333,13 @@ def test_colours_that_contradict_what_sensors_see_from_everywhere_are_not_heard(
 
 
 def test_a_later_look_that_finds_nothing_leaves_what_was_said(box_room, walk, tmp_path, monkeypatch):
-    learn, looks = ColorWitness._learn, []
+    learn, looks = PhotometricDepth._learn, []
 
     def learn_once(witness, *given):
         looks.append(1)
         return learn(witness, *given) if len(looks) == 1 else None
 
-    monkeypatch.setattr(ColorWitness, "_learn", learn_once)
+    monkeypatch.setattr(PhotometricDepth, "_learn", learn_once)
     made = reconstructed(box_room, walk, tmp_path / "a")
     assert len(looks) == 2  # and no third one
     assert len(made.mapper.witness.depths) == len(walk)
@@ -353,7 +353,7 @@ def test_a_later_trial_that_confirms_nothing_takes_the_bias_back(
     box_room, walk, tmp_path, monkeypatch, share, heard
 ):  # fmt: skip
     shares = iter([1.0, share])
-    monkeypatch.setattr(BiasTrial, "share_better", lambda *_: next(shares))
+    monkeypatch.setattr(CrossViewConsistencyTest, "improved_fraction", lambda *_: next(shares))
     made = reconstructed(box_room, walk, tmp_path / "a")
     assert next(shares, "asked twice") == "asked twice"
     assert not made.mapper.bias.models["stereo"].believed
@@ -364,16 +364,16 @@ def test_a_later_trial_that_confirms_nothing_takes_the_bias_back(
 
 
 def test_colour_is_asked_as_often_as_is_set(box_room, walk, tmp_path):
-    once = reconstructed(box_room, walk, tmp_path / "a", "color.looks=1")
-    assert len(once.curves["noise of colour"]) == 1
-    assert {"sweep 2"} == {part for part in once.seconds if part in ("sweep 2", "sweep 3", "sweep 4")}
-    more = reconstructed(box_room, walk, tmp_path / "b", "color.looks=2", "fusion.sweeps=3")
-    assert len(more.curves["noise of colour"]) == 2
+    once = reconstructed(box_room, walk, tmp_path / "a", "photometric.max_passes=1")
+    assert len(once.curves["noise/photometric"]) == 1
+    assert {"pass_2"} == {part for part in once.seconds if part in ("pass_2", "pass_3", "sweep 4")}
+    more = reconstructed(box_room, walk, tmp_path / "b", "photometric.max_passes=2", "fusion.passes=3")
+    assert len(more.curves["noise/photometric"]) == 2
     assert "sweep 4" in more.seconds
 
 
 def test_a_bias_below_that_of_colour_is_left_alone(box_room, walk, tmp_path, monkeypatch):
-    monkeypatch.setattr(SensorBias, "exceeds_that_of", lambda *_: False)
+    monkeypatch.setattr(BiasModel, "exceeds_photometric_bias", lambda *_: False)
     made = reconstructed(box_room, walk, tmp_path / "a")
     assert made.mapper.bias.confirmed["stereo"] >= CONFIRMED
     assert not made.mapper.bias.models["stereo"].believed
@@ -381,19 +381,19 @@ def test_a_bias_below_that_of_colour_is_left_alone(box_room, walk, tmp_path, mon
 
 
 def test_readings_are_worth_what_predicts_colour_of_unrelated_views(box_room, walk, tmp_path, monkeypatch):
-    monkeypatch.setattr(ColorWitness, "related", lambda witness: np.eye(len(witness.indices), dtype=bool))
+    monkeypatch.setattr(PhotometricDepth, "related", lambda witness: np.eye(len(witness.indices), dtype=bool))
     made = reconstructed(box_room, walk, tmp_path / "a")
-    assert made.mapper.weights.worth["stereo"] not in (1.0, UNTESTED)
+    assert made.mapper.weights.worth["stereo"] not in (1.0, DEFAULT_RELIABILITY)
     assert off_by(box_room, made.mapper, walk) < 0.008
 
 
 def test_readings_are_worth_alike_if_so_set(box_room, walk, tmp_path):
-    made = reconstructed(box_room, walk, tmp_path / "a", "color.weigh_sensors=false")
+    made = reconstructed(box_room, walk, tmp_path / "a", "photometric.estimate_reliability=false")
     assert made.mapper.witness.confirmed
-    assert made.mapper.weights.worth == {"stereo": UNTESTED}
+    assert made.mapper.weights.worth == {"stereo": DEFAULT_RELIABILITY}
 
 
-OFF = ["uncertainty.enabled=false", "color.enabled=false", "fusion.sweeps=0"]
+OFF = ["uncertainty.enabled=false", "photometric.enabled=false", "fusion.passes=0"]
 
 
 @pytest.mark.parametrize(("method", "settings"), [("tsdf", []), *(("uncle", [setting]) for setting in OFF)])
@@ -401,7 +401,7 @@ def test_colours_are_not_looked_at(box_room, walk, tmp_path, monkeypatch, method
     def refuse(*_):
         raise AssertionError("looked at colours")
 
-    monkeypatch.setattr(ColorWitness, "look", refuse)
+    monkeypatch.setattr(PhotometricDepth, "look", refuse)
     made = reconstructed(box_room, walk[:4], tmp_path / "c", *settings, method=method)
     assert not list(made.mapper.witness.readings())
 
@@ -429,7 +429,7 @@ def test_a_map_that_was_broken_off_is_the_same_with_colours(box_room, walk, tmp_
 def test_a_view_weighs_as_much_as_the_frames_it_stands_for(box_room, walk):
     """Fused alone: each sample holds frames_per_view times the weight of beta, and the surface lies at the
     readings."""
-    config = make_config("uncle", ["fusion.voxel_size_m=0.05", "fusion.blur_voxels=1"], device="cpu")
+    config = make_config("uncle", ["fusion.voxel_size_m=0.05", "fusion.discretisation_voxels=1"], device="cpu")
     mapper = Mapper(box_room.camera, ("stereo",), config, torch.device("cpu"))
     depth = torch.full((120, 160), 2.0)
     witness = mapper.witness
@@ -445,4 +445,4 @@ def test_a_view_weighs_as_much_as_the_frames_it_stands_for(box_room, walk):
     torch.testing.assert_close(volume.sums[near, 0], expected.expand(int(near.sum())), rtol=1e-4, atol=0)
     torch.testing.assert_close(volume.sdf()[near], 2.0 - positions[near, 2], atol=1e-4, rtol=0)
     assert not volume.color_sums.any()
-    assert mapper.sensor_share() == {"stereo": 0.0}
+    assert mapper.weight_share() == {"stereo": 0.0}

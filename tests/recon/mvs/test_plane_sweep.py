@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from uncle.recon.core.camera import Camera
 from uncle.recon.mvs.cost_volume import GreyView
-from uncle.recon.mvs.multi_view_consistency import disagreement
-from uncle.recon.mvs.plane_sweep import FEATURES, SOURCES, ColorDepth, choose_sources, depth_by_color
+from uncle.recon.mvs.multi_view_consistency import cross_view_residual
+from uncle.recon.mvs.plane_sweep import FEATURES, SOURCES, PlaneSweepView, choose_sources, plane_sweep_depth
 
 CAMERA = Camera(80, 60, 60.0, 60.0, 39.5, 29.5)
 
@@ -26,17 +26,17 @@ def look(room, poses, blank_above_m: float = np.inf) -> list[GreyView]:
     ]
 
 
-def matched(room, poses, prior, **paint) -> ColorDepth:
+def matched(room, poses, prior, **paint) -> PlaneSweepView:
     views, sources = look(room, poses, **paint), choose_sources(room.camera, poses, 4, 2.8)
-    return depth_by_color(room.camera, views[4], [views[s] for s in sources], prior.astype(np.float32))
+    return plane_sweep_depth(room.camera, views[4], [views[s] for s in sources], prior.astype(np.float32))
 
 
-def plane_view(index: int, distance_m: float, x_m: float = 0.0, wall_m: float = 3.0) -> ColorDepth:
+def plane_view(index: int, distance_m: float, x_m: float = 0.0, wall_m: float = 3.0) -> PlaneSweepView:
     """A wall at z = wall_m, seen from x = x_m, measured `distance_m` away."""
     pose = np.eye(4)
     pose[0, 3], pose[2, 3] = x_m, wall_m - 2.0
     depth = np.full((60, 80), distance_m, np.float32)
-    return ColorDepth(index, pose, depth, np.zeros_like(depth), np.zeros((60, 80, len(FEATURES)), np.float16), ())
+    return PlaneSweepView(index, pose, depth, np.zeros_like(depth), np.zeros((60, 80, len(FEATURES)), np.float16), ())
 
 
 # --- depth -------------------------------------------------------------------------------------------------------
@@ -87,7 +87,7 @@ def test_flat_pictures_have_no_depth(box_room, poses, level):
     """Not even by rounding."""
     flat = [GreyView(i, np.full((120, 160), level, np.float32), pose) for i, pose in enumerate(poses)]
     prior = box_room.depth(poses[4]).astype(np.float32)
-    assert not depth_by_color(box_room.camera, flat[4], flat[:3], prior).depth.any()
+    assert not plane_sweep_depth(box_room.camera, flat[4], flat[:3], prior).depth.any()
 
 
 def test_nothing_is_known_of_the_surface(box_room, poses):
@@ -129,7 +129,7 @@ def test_disagreement_is_the_median_distance_from_what_others_measure():
     off = [0.0, 0.01, -0.02, 0.05, 0.04]
     images = [plane_view(i, 2.0 + miss, 0.05 * i) for i, miss in enumerate(off)]
     pixels = np.array([60 * 40, 30 * 80 + 40])[1:]
-    miss, count = disagreement(CAMERA, images, 0, pixels)
+    miss, count = cross_view_residual(CAMERA, images, 0, pixels)
     assert count.tolist() == [4]
     assert miss[0] == pytest.approx(0.02, abs=1e-6)  # the lower median of 1, 2, 4, 5 cm
 
@@ -137,7 +137,7 @@ def test_disagreement_is_the_median_distance_from_what_others_measure():
 def test_a_minority_behind_another_surface_is_left_out():
     images = [plane_view(i, 2.0, 0.05 * i) for i in range(5)]
     images += [plane_view(5 + i, 0.8, 0.05 * i) for i in range(3)]
-    miss, count = disagreement(CAMERA, images, 0, np.array([30 * 80 + 40]))
+    miss, count = cross_view_residual(CAMERA, images, 0, np.array([30 * 80 + 40]))
     assert count.tolist() == [7]
     assert miss[0] == pytest.approx(0.0, abs=1e-6)
 
@@ -145,11 +145,11 @@ def test_a_minority_behind_another_surface_is_left_out():
 def test_who_does_not_look_has_no_say():
     blind = plane_view(1, 0.0, 0.1)
     away = replace(plane_view(2, 2.0), T_world_camera=np.diag([-1.0, 1.0, -1.0, 1.0]))
-    miss, count = disagreement(CAMERA, [plane_view(0, 2.0), blind, away], 0, np.array([2040, 2041]))
+    miss, count = cross_view_residual(CAMERA, [plane_view(0, 2.0), blind, away], 0, np.array([2040, 2041]))
     assert count.tolist() == [0, 0]
     assert np.isinf(miss).all()
-    alone, count = disagreement(CAMERA, [plane_view(0, 2.0)], 0, np.array([0]))
+    alone, count = cross_view_residual(CAMERA, [plane_view(0, 2.0)], 0, np.array([0]))
     assert np.isinf(alone).all()
     assert count.tolist() == [0]
-    nothing, _ = disagreement(CAMERA, [plane_view(0, 0.0), plane_view(1, 2.0)], 0, np.array([], np.int64))
+    nothing, _ = cross_view_residual(CAMERA, [plane_view(0, 0.0), plane_view(1, 2.0)], 0, np.array([], np.int64))
     assert nothing.shape == (0,)

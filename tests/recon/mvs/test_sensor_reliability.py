@@ -8,8 +8,8 @@ import torch
 from scipy.spatial import cKDTree
 from uncle.recon.core.config.uncle import FusionConfig
 from uncle.recon.mvs import sensor_reliability as reading_worth
-from uncle.recon.mvs.sensor_reliability import UNTESTED, Statements, statements, worth_of_readings
-from uncle.recon.sensors.fusion_weights import ReadingWeights
+from uncle.recon.mvs.sensor_reliability import DEFAULT_RELIABILITY, CrossViewSamples, estimate_reliability, statements
+from uncle.recon.sensors.fusion_weights import FusionWeights
 
 VIEWS, PLACES, VOXEL_M, BETA_M = 24, 400, 0.02, 0.004
 
@@ -18,7 +18,7 @@ def apart() -> np.ndarray:
     return np.eye(VIEWS, dtype=bool)
 
 
-def made_statements(seed: int = 0, repeats: bool = True, color_group: int = 1) -> Statements:
+def made_statements(seed: int = 0, repeats: bool = True, color_group: int = 1) -> CrossViewSamples:
     """Every view sees every place. Sensor "a" errs anew each time, "b" says the same in all views if it `repeats` its
     error; colour errs alike in `color_group` views in a row. All errors have the beta that they are said to have."""
     rng = np.random.default_rng(seed)
@@ -32,11 +32,11 @@ def made_statements(seed: int = 0, repeats: bool = True, color_group: int = 1) -
     offsets = np.column_stack([noise(anew), noise(places if repeats else anew), noise(alike)])
     spots = np.column_stack([places * 10 * VOXEL_M, *rng.uniform(0, 0.2 * VOXEL_M, (2, len(views)))])
     beta = np.full(len(views), BETA_M)
-    return Statements(spots, views, offsets, np.ones_like(offsets), beta)
+    return CrossViewSamples(spots, views, offsets, np.ones_like(offsets), beta)
 
 
-def worth(said: Statements, related: np.ndarray | None = None) -> dict[str, float]:
-    return worth_of_readings(said, apart() if related is None else related, VOXEL_M, ("a", "b"))
+def worth(said: CrossViewSamples, related: np.ndarray | None = None) -> dict[str, float]:
+    return estimate_reliability(said, apart() if related is None else related, VOXEL_M, ("a", "b"))
 
 
 @pytest.mark.parametrize("seed", range(3))
@@ -73,7 +73,7 @@ def test_a_sensor_that_says_nothing_stays_where_it_was():
     said = made_statements()
     said.offsets[:, 1] = np.nan
     found = worth(said)
-    assert found["b"] == pytest.approx(UNTESTED, rel=0.05)
+    assert found["b"] == pytest.approx(DEFAULT_RELIABILITY, rel=0.05)
     assert 0.6 < found["a"] < 1.6
 
 
@@ -81,14 +81,14 @@ def test_a_sensor_that_says_nothing_stays_where_it_was():
 def test_nothing_can_be_told(why):
     said = made_statements()
     if why == "few":
-        said = Statements(*(values[:500] for values in vars(said).values()))
+        said = CrossViewSamples(*(values[:500] for values in vars(said).values()))
     elif why == "unsure":
         said.beta[:] = 2 * VOXEL_M
     elif why == "alone":
         said.points[:, 1] = np.arange(len(said.views))  # no two readings of a place
     else:
         said.offsets[:, -1] = np.nan
-    assert worth(said) == {"a": UNTESTED, "b": UNTESTED}
+    assert worth(said) == {"a": DEFAULT_RELIABILITY, "b": DEFAULT_RELIABILITY}
 
 
 def test_what_one_source_alone_predicts_does_not_count():
@@ -99,7 +99,7 @@ def test_what_one_source_alone_predicts_does_not_count():
     related = np.kron(np.eye(2, dtype=bool), np.ones((VIEWS, VIEWS), dtype=bool))
     related[:VIEWS, :VIEWS] = apart()
     alone.views[:] += VIEWS
-    both = Statements(*map(np.concatenate, zip(vars(said).values(), vars(alone).values(), strict=True)))
+    both = CrossViewSamples(*map(np.concatenate, zip(vars(said).values(), vars(alone).values(), strict=True)))
     expected = worth(said)
     assert worth(both, related) == pytest.approx(expected, rel=1e-6)
 
@@ -108,7 +108,7 @@ def test_many_readings_of_a_place_are_thinned(monkeypatch):
     rng = np.random.default_rng(0)
     ordered = made_statements()
     order = rng.permutation(len(ordered.views))
-    said = Statements(*(values[order] for values in vars(ordered).values()))
+    said = CrossViewSamples(*(values[order] for values in vars(ordered).values()))
     every, pairs = worth(said), PLACES * VIEWS * (VIEWS - 1) // 2
     monkeypatch.setattr(reading_worth, "MAX_PAIRS", pairs // 4)
     thinned = reading_worth._thinned(said, 0.75 * VOXEL_M)
@@ -148,8 +148,8 @@ def test_statements_are_offsets_from_the_map_by_view():
         "inputs": torch.zeros(4, 2, 5).half(),
     }
     points = torch.arange(12.0).view(4, 3)
-    witness = SimpleNamespace(testimony=told, points=lambda: points)
-    weights = ReadingWeights(FusionConfig(voxel_size_m=0.02, blur_voxels=0), ("a", "b"))
+    witness = SimpleNamespace(samples=told, points=lambda: points)
+    weights = FusionWeights(FusionConfig(voxel_size_m=0.02, blur_voxels=0), ("a", "b"))
     said = statements(witness, {"a": Known(), "b": Known()}, {"a": Known(), "b": Unbiased()}, weights, 0.1)
     nan = np.nan
     offsets = [[0.01, -0.02, 0.005], [nan, 0.0, -0.01], [0.02, nan, 0.0]]

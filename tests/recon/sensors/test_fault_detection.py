@@ -4,17 +4,9 @@ import numpy as np
 import pytest
 import torch
 from uncle.recon.core.camera import Camera
-from uncle.recon.core.config.uncle import HealthConfig
+from uncle.recon.core.config.uncle import FaultDetectionConfig
 from uncle.recon.core.frame import Frame
-from uncle.recon.sensors.fault_detection import (
-    MIN_HISTORY,
-    Comparison,
-    SensorHealth,
-    compare_depths,
-    image_motion,
-    is_unusual,
-    repeats,
-)
+from uncle.recon.sensors.fault_detection import MIN_HISTORY, Comparison, FaultDetector, compare_depths, image_motion, is_unusual, repeats
 
 CAMERA = Camera(160, 120, 100.0, 100.0, 79.5, 59.5)
 FAR_M = 6.0
@@ -35,11 +27,11 @@ def make_frame(index: int, depths: dict[str, torch.Tensor], moves: bool = True, 
     return Frame(index, index, torch.full((120, 160, 3), grey, dtype=torch.uint8), depths, pose)
 
 
-def make_health(*sensors: str, poses_given: bool = True, **settings: float) -> SensorHealth:
-    return SensorHealth(CAMERA, sensors, HealthConfig(**settings), poses_given)
+def make_health(*sensors: str, poses_given: bool = True, **settings: float) -> FaultDetector:
+    return FaultDetector(CAMERA, sensors, FaultDetectionConfig(**settings), poses_given)
 
 
-def judge(health: SensorHealth, frame: Frame, truth: torch.Tensor) -> Frame:
+def judge(health: FaultDetector, frame: Frame, truth: torch.Tensor) -> Frame:
     """As the mapper does, with a map that knows the truth (H, W)."""
     looked = health.look(frame)
     rays = health.rays
@@ -47,11 +39,11 @@ def judge(health: SensorHealth, frame: Frame, truth: torch.Tensor) -> Frame:
     return health.compare(looked, truth[v, u], FAR_M)
 
 
-def watch(health: SensorHealth, frames: int, depths, **options) -> list[Frame]:
+def watch(health: FaultDetector, frames: int, depths, **options) -> list[Frame]:
     return [judge(health, make_frame(i, depths(i), **options), slope(i)) for i in range(frames)]
 
 
-def verdicts(health: SensorHealth, sensor: str) -> str:
+def verdicts(health: FaultDetector, sensor: str) -> str:
     """One letter for each frame."""
     return "".join(verdict[0] for verdict in health.verdicts[sensor].values())
 
@@ -154,16 +146,16 @@ def test_the_verdict_stands_where_the_map_is_unknown():
     health = make_health("a", "b")
     watch(health, 12, lambda i: both(i, both(i)["b"] + 0.2) if i >= 10 else both(i))
     judge(health, make_frame(12, both(12)), torch.zeros(120, 160))
-    assert (health.verdicts["a"][12], health.verdicts["b"][12]) == ("ok", "disagrees")
+    assert (health.verdicts["a"][12], health.verdicts["b"][12]) == ("ok", "inconsistent")
 
 
 def test_a_suspect_is_kept_from_the_tracker_unless_it_is_alone():
     health = make_health("a", "b")
     watch(health, 12, lambda i: both(i, both(i)["b"] + 0.2) if i >= 10 else both(i))
     next_frame = health.look(make_frame(12, both(12)))
-    assert not health.without_suspects(next_frame).depths["b"].any()
+    assert not health.without_faulty(next_frame).depths["b"].any()
     alone = make_frame(12, {**both(12), "a": torch.zeros(120, 160)})
-    assert health.without_suspects(alone).depths["b"].any()
+    assert health.without_faulty(alone).depths["b"].any()
 
 
 def test_what_is_switched_off_judges_nothing():
@@ -200,7 +192,7 @@ def test_compare_depths_is_signed_and_robust():
 
 
 def test_what_is_usual_of_a_poor_sensor_is_unusual_of_a_good_one():
-    config, now = HealthConfig(), Comparison(0.05, 0.01, 500)
+    config, now = FaultDetectionConfig(), Comparison(0.05, 0.01, 500)
     steady, restless = [0.001, -0.001] * 10, [0.03, -0.03] * 10
     assert is_unusual(now, steady, [0.01] * 20, config)
     assert not is_unusual(now, restless, [0.01] * 20, config)

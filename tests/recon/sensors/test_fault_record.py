@@ -8,13 +8,13 @@ from uncle.recon.stages.report import _faults
 
 
 def spelled(letters: str, first: int = 0, step: int = 1):
-    words = {"o": "ok", "m": "missing", "f": "frozen", "d": "disagrees"}
+    words = {"o": "ok", "m": "missing", "f": "frozen", "d": "inconsistent"}
     return {first + step * i: words[letter] for i, letter in enumerate(letters)}
 
 
 def test_stretches_are_counted_in_mapped_frames():
     found = stretches(spelled("oofffdo", first=10, step=2))
-    assert found == [Stretch("frozen", 14, 18, 3), Stretch("disagrees", 20, 20, 1)]
+    assert found == [Stretch("frozen", 14, 18, 3), Stretch("inconsistent", 20, 20, 1)]
 
 
 def test_sentences_name_what_lasted():
@@ -36,9 +36,9 @@ def test_a_slow_sensor_is_one_sentence():
 def test_the_file_holds_every_frame_that_was_left_out(tmp_path):
     save(tmp_path / "sensors.json", {"a": spelled("ooofo"), "b": spelled("ommmm")})
     sensors = json.loads((tmp_path / "sensors.json").read_text())["sensors"]
-    fault = {"why": "frozen", "first": 3, "last": 3, "frames": 1}
-    assert sensors["a"] == {"frames": 5, "used": 4, "faults": [fault], "sentences": []}
-    assert (sensors["b"]["used"], sensors["b"]["sentences"]) == (1, ["b: no readings from frame 1 to 4"])
+    fault = {"reason": "frozen", "first": 3, "last": 3, "frames": 1}
+    assert sensors["a"] == {"frames": 5, "used_frames": 4, "faults": [fault], "sentences": []}
+    assert (sensors["b"]["used_frames"], sensors["b"]["sentences"]) == (1, ["b: no readings from frame 1 to 4"])
 
 
 def test_the_report_repeats_what_was_said(tmp_path):

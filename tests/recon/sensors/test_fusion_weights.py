@@ -2,20 +2,14 @@
 
 import torch
 from uncle.recon.core.config.uncle import FusionConfig
-from uncle.recon.sensors.fusion_weights import (
-    COLOR_FREE_SPACE,
-    DOUBT_BETAS,
-    WEIGHT_FLOOR,
-    ReadingWeights,
-    median_weight,
-)
+from uncle.recon.sensors.fusion_weights import FREE_SPACE_SCALE_BETAS, MIN_RELATIVE_WEIGHT, PHOTOMETRIC_FREE_SPACE_FACTOR, FusionWeights, median_weight
 
 VALID = torch.tensor([[True, True, True, False]])
 BETA = torch.tensor([[1.0, 0.1, 0.05, 0.01]])  # the sharpest is no reading
 
 
-def weights_of(blur_voxels: float = 0.0) -> ReadingWeights:
-    return ReadingWeights(FusionConfig(voxel_size_m=0.05, blur_voxels=blur_voxels), ("a", "b"))
+def weights_of(blur_voxels: float = 0.0) -> FusionWeights:
+    return FusionWeights(FusionConfig(voxel_size_m=0.05, blur_voxels=blur_voxels), ("a", "b"))
 
 
 def test_weight_falls_with_the_square_of_beta():
@@ -27,9 +21,9 @@ def test_readings_of_an_image_have_a_floor_below_its_typical_one():
     weights = weights_of()
     typical = float(weights.of(torch.tensor(0.1)))
     weight, free_space = weights.of_image(BETA, VALID, "a")
-    torch.testing.assert_close(weight[VALID] / typical, torch.tensor([WEIGHT_FLOOR, 1.0, 4.0]))
-    torch.testing.assert_close(free_space.weight[VALID] / typical, torch.tensor([WEIGHT_FLOOR, 1.0, 4.0]).sqrt())
-    torch.testing.assert_close(free_space.doubt_m, DOUBT_BETAS * BETA)
+    torch.testing.assert_close(weight[VALID] / typical, torch.tensor([MIN_RELATIVE_WEIGHT, 1.0, 4.0]))
+    torch.testing.assert_close(free_space.weight[VALID] / typical, torch.tensor([MIN_RELATIVE_WEIGHT, 1.0, 4.0]).sqrt())
+    torch.testing.assert_close(free_space.scale_m, FREE_SPACE_SCALE_BETAS * BETA)
     assert torch.equal(weights.of_image(BETA, torch.zeros_like(VALID), "a")[0], weights.of(BETA, "a"))
 
 
@@ -39,7 +33,7 @@ def test_what_a_sensor_is_worth_scales_all_that_it_says():
     (ours, free), (theirs, theirs_free) = (weights.of_image(BETA, VALID, sensor) for sensor in ("a", "b"))
     torch.testing.assert_close(theirs, 0.25 * ours)
     torch.testing.assert_close(theirs_free.weight, 0.25 * free.weight)
-    torch.testing.assert_close(theirs_free.doubt_m, free.doubt_m)
+    torch.testing.assert_close(theirs_free.scale_m, free.scale_m)
     torch.testing.assert_close(weights.of(BETA, "b"), 0.25 * weights.of(BETA))
 
 
@@ -48,7 +42,7 @@ def test_a_view_of_colour_has_no_floor_and_says_little_about_free_space():
     weight, free_space = weights.of_color(BETA, VALID, frames=3.0)
     torch.testing.assert_close(weight, 3 * weights.of(BETA))
     typical = 3 * weights.of(torch.tensor(0.1))
-    torch.testing.assert_close(free_space.weight, COLOR_FREE_SPACE * (weight * typical).sqrt())
+    torch.testing.assert_close(free_space.weight, PHOTOMETRIC_FREE_SPACE_FACTOR * (weight * typical).sqrt())
 
 
 def test_the_typical_weight_is_the_lower_median():

@@ -8,7 +8,7 @@ from uncle.recon.core.config.map_config import make_config
 from uncle.recon.core.config.uncle import UncertaintyConfig
 from uncle.recon.core.errors import ConfigError
 from uncle.recon.sensors.noise_inputs import FEATURES
-from uncle.recon.sensors.noise_model import PIXELS, START_BETA_M, NoiseModel, Residuals, seen_features
+from uncle.recon.sensors.noise_model import PIXELS, START_BETA_M, NoiseModel, Residuals, input_mask
 
 SCALES = (0.01, 0.06)  # metres: of readings whose first feature is -1 and +1
 
@@ -87,7 +87,7 @@ def test_beta_image_is_the_network_where_there_is_depth():
 
 
 def test_inputs_that_are_not_named_are_not_seen():
-    config = make_config("uncle", ['uncertainty.features=["depth", "holes_3"]']).uncertainty
+    config = make_config("uncle", ['uncertainty.inputs=["depth", "holes_3"]']).uncertainty
     model = NoiseModel(config, generator())
     features = torch.rand(500, len(FEATURES), generator=generator(5))
     model.learn(
@@ -103,7 +103,7 @@ def test_inputs_that_are_not_named_are_not_seen():
 
 
 def test_inputs_without_a_name_are_all_seen_and_unknown_ones_refused():
-    assert seen_features(()).eq(1).all()
-    assert seen_features(FEATURES).eq(1).all()
+    assert input_mask(()).eq(1).all()
+    assert input_mask(FEATURES).eq(1).all()
     with pytest.raises(ConfigError, match="no input is called 'dept'; known inputs: depth, incidence"):
-        seen_features(("dept",))
+        input_mask(("dept",))

@@ -25,9 +25,15 @@ from uncle.recon.stages import map as map_stage
 from uncle.recon.stages.map import map_run
 
 QUICK = [
-    "fusion.voxel_size_m=0.05", "fusion.min_readings=2", "keyframes.rays=500", "field.iterations=3", "field.rays=256",
-    "uncertainty.steps_per_keyframe=4", "uncertainty.steps_per_sweep=150", "uncertainty.batch=512",
-]  # fmt: skip
+    "fusion.voxel_size_m=0.05",
+    "fusion.min_observations=2",
+    "keyframes.rays=500",
+    "field.iterations=3",
+    "field.rays=256",
+    "uncertainty.steps_per_keyframe=4",
+    "uncertainty.steps_per_pass=150",
+    "uncertainty.batch=512",
+]
 
 
 def settings(*overrides: str, method: str = "uncle", **top_level) -> MapConfig:
@@ -198,7 +204,7 @@ def test_a_broken_map_with_a_prior_resumes_to_the_same(rig, monkeypatch):
     monkeypatch.setattr(map_stage, "Checkpoint", partial(Checkpoint, interval_s=0.0))
     prior, config = NoisePrior.load(model), settings(sensors=("gt", "noisy"))
     map_run(run, config, prior=prior)
-    expected = run.noise_model_path.read_bytes(), run.manifest.stages["map"].facts["sensor_share"]
+    expected = run.noise_model_path.read_bytes(), run.manifest.stages["map"].facts["sensor_weight_share"]
 
     def break_at(stage: str, event) -> None:
         if isinstance(event, Progress) and event.stage.startswith(stage) and event.done == 5:
@@ -210,13 +216,13 @@ def test_a_broken_map_with_a_prior_resumes_to_the_same(rig, monkeypatch):
         with pytest.raises(RunError, match="other settings"):
             map_run(run, config, resume=True)
         map_run(run, config, prior=prior, resume=True)
-        assert (run.noise_model_path.read_bytes(), run.manifest.stages["map"].facts["sensor_share"]) == expected
+        assert (run.noise_model_path.read_bytes(), run.manifest.stages["map"].facts["sensor_weight_share"]) == expected
 
 
 def test_the_better_sensor_has_the_larger_share(rig):
     run, _ = rig
     map_run(run, settings(sensors=("gt", "noisy")))
-    share = json.loads(run.manifest_path.read_text())["stages"]["map"]["facts"]["sensor_share"]
+    share = json.loads(run.manifest_path.read_text())["stages"]["map"]["facts"]["sensor_weight_share"]
     assert set(share) == {"gt", "noisy"}
     assert sum(share.values()) == pytest.approx(1.0, abs=1e-3)
     assert share["gt"] > 0.55

@@ -26,9 +26,16 @@ from uncle.recon.stages.map import load_field, map_run
 from uncle.recon.stages.mesh import mesh_run
 
 QUICK = [
-    "fusion.voxel_size_m=0.05", "fusion.sweeps=1", "fusion.min_readings=2", "keyframes.rays=500", "field.iterations=15",
-    "field.rays=256", "uncertainty.steps_per_keyframe=4", "uncertainty.steps_per_sweep=80", "uncertainty.batch=512",
-]  # fmt: skip
+    "fusion.voxel_size_m=0.05",
+    "fusion.passes=1",
+    "fusion.min_observations=2",
+    "keyframes.rays=500",
+    "field.iterations=15",
+    "field.rays=256",
+    "uncertainty.steps_per_keyframe=4",
+    "uncertainty.steps_per_pass=80",
+    "uncertainty.batch=512",
+]
 
 
 def settings(*overrides: str, method: str = "uncle", **top_level) -> MapConfig:
@@ -70,14 +77,14 @@ def test_two_sensors_end_to_end(make_mappable_run, box_room):
     assert recorded["sensors"] == ["gt", "noisy"]
     assert recorded["fusion"]["voxel_size_m"] == 0.05
     curves = json.loads(run.curves_path.read_text())
-    assert {"noise gt", "noise noisy", "refinement"} <= set(curves)
+    assert {"noise/gt", "noise/noisy", "refinement"} <= set(curves)
     assert len(curves["refinement"]["y"]) == 15
     facts = run.manifest.stages["map"].facts
     assert (facts["method"], facts["frames"], facts["held_out"], facts["seed"]) == ("uncle", 12, [], 0)
     assert not run.checkpoint_path.exists()
 
 
-@pytest.mark.parametrize("overrides", [["uncertainty.enabled=false"], ["field.levels=[]"], ["fusion.sweeps=0"]])
+@pytest.mark.parametrize("overrides", [["uncertainty.enabled=false"], ["field.levels=[]"], ["fusion.passes=0"]])
 def test_parts_can_be_switched_off(make_mappable_run, box_room, overrides):
     run = make_mappable_run(("gt",))
     map_run(run, settings(*overrides))
@@ -87,7 +94,7 @@ def test_parts_can_be_switched_off(make_mappable_run, box_room, overrides):
 
 def test_baseline_end_to_end(make_mappable_run, box_room):
     run = make_mappable_run(("gt",))
-    map_run(run, settings("fusion.voxel_size_m=0.05", "fusion.min_readings=1", method="tsdf"))
+    map_run(run, settings("fusion.voxel_size_m=0.05", "fusion.min_observations=1", method="tsdf"))
     assert distances(run, box_room.mesh()).mean() < 0.01
     assert not run.beta_path("gt", 0).exists()
 
@@ -100,7 +107,7 @@ def test_nothing_is_left_of_an_earlier_map(make_mappable_run):
     map_run(run, settings(sensors=("noisy",)))
     assert not run.beta_path("gt", 0).exists()
     assert run.beta_path("noisy", 0).exists()
-    map_run(run, settings("fusion.voxel_size_m=0.05", "fusion.min_readings=1", method="tsdf"))
+    map_run(run, settings("fusion.voxel_size_m=0.05", "fusion.min_observations=1", method="tsdf"))
     assert not run.beta_path("noisy", 0).exists()
     assert not run.curves_path.exists()
 
@@ -117,7 +124,7 @@ def test_done_and_unchanged(make_mappable_run):
 
 def test_default_sensors_are_all_but_the_ground_truth(make_mappable_run):
     run = make_mappable_run()
-    map_run(run, settings("fusion.sweeps=0", "field.iterations=0"))
+    map_run(run, settings("fusion.passes=0", "field.iterations=0"))
     assert run.manifest.stages["map"].facts["sensors"] == ["noisy"]
 
 
@@ -149,7 +156,7 @@ def test_what_cannot_be_mapped_is_said(make_mappable_run):
         run.checkpoint_path.unlink(missing_ok=True)
     for method in ("uncle", "tsdf"):
         with pytest.raises(DataError, match="often enough"):
-            map_run(run, settings("fusion.min_readings=99", method=method))
+            map_run(run, settings("fusion.min_observations=99", method=method))
         run.checkpoint_path.unlink(missing_ok=True)
     strip_poses(run, list(range(12)))
     with pytest.raises(DataError, match="no camera poses"):
@@ -209,7 +216,7 @@ def test_broken_run_remembers_what_was_wrong_with_a_sensor(make_mappable_run, fr
         shutil.copy(run.depth_path("noisy", 4), run.depth_path("noisy", index))
     map_run(run, config, on_event=events.append)
     assert Warn("noisy: frozen from frame 5 to 10, left out") in events
-    assert run.manifest.stages["map"].facts["left_out"] == {"noisy": {"frozen": 6}}
+    assert run.manifest.stages["map"].facts["faulty_frames"] == {"noisy": {"frozen": 6}}
     assert not RunFrames(run).beta(7, "noisy").any()
     expected = results(run) | {"sensors": run.sensors_path.read_bytes()}
     for stage, done in [("mapping", 7), ("fusing again", 3)]:

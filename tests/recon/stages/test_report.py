@@ -13,12 +13,7 @@ from uncle.recon.run.directory import RunDirectory
 from uncle.recon.run.frames import RunFrames, encode_normals
 from uncle.recon.stages.report import write_report
 from uncle.recon.visualization.metrics_table import metric_rows
-from uncle.recon.visualization.report_charts import (
-    calibration_chart,
-    confidence_chart,
-    reliability_chart,
-    reliability_curves,
-)
+from uncle.recon.visualization.report_charts import calibration_chart, reliability_chart, reliability_curves, vertex_sigma_chart
 
 SECTIONS = ("Overview", "Mesh", "Camera", "Metrics", "Sensors", "Curves", "Time and memory", "Configuration")
 NASTY = '<script>alert(\'$x_1$ & "co")</script>'
@@ -75,17 +70,17 @@ def test_page_has_every_section_and_its_figures(page):
 def test_charts_of_calibration_need_whole_curves():
     curves = {"nominal": [0.5, 0.9], "empirical": [0.4, 0.8]}
     size = {"bin_sigma_m": [0.01, 0.02], "bin_distance_rms_m": [0.01, None]}
-    surface = {"confidence": {"curves": {**curves, **size}}}
+    surface = {"vertex_sigma": {"curves": {**curves, **size}}}
     metrics = {"uncertainty": {"sl": {"curves": curves}, "sgm": {"curves": curves}}, "surface": surface}
     found = reliability_curves(metrics)
     assert list(found) == ["sl", "sgm", "vertices of the mesh"]
     assert reliability_chart(found).startswith(b"\x89PNG")
     assert reliability_chart({"sl": curves}) != reliability_chart(found)
-    assert reliability_curves({"uncertainty": None, "surface": {"confidence": None}}) == {}
+    assert reliability_curves({"uncertainty": None, "surface": {"vertex_sigma": None}}) == {}
     for broken in ({}, {"sl": {}}, {"sl": 1}, {"sl": curves | {"nominal": [1]}}, {"sl": curves | {"empirical": "no"}}):
         assert reliability_chart(broken) is None
-    assert confidence_chart({**curves, **size}).startswith(b"\x89PNG")
-    assert confidence_chart(curves) is None
+    assert vertex_sigma_chart({**curves, **size}).startswith(b"\x89PNG")
+    assert vertex_sigma_chart(curves) is None
     names = ("bin_beta_m", "bin_error_m", "removed", "error_by_beta", "error_oracle")
     whole = {name: [0.1, 0.2] for name in names}
     plain = calibration_chart("sl", curves | whole)
@@ -95,16 +90,16 @@ def test_charts_of_calibration_need_whole_curves():
 
 def test_calibration_is_shown_for_the_mesh_and_for_all_together(full_run):
     curves = {"nominal": [0.5, 0.9], "empirical": [0.4, 0.8], "bin_sigma_m": [0.1], "bin_distance_rms_m": [0.1]}
-    scores = {"surface": {"confidence": {"curves": curves}}, "uncertainty": {"noisy": {"curves": curves}}}
+    scores = {"surface": {"vertex_sigma": {"curves": curves}}, "uncertainty": {"noisy": {"curves": curves}}}
     write_text(full_run.metrics_path, json.dumps(scores))
     page = write_report(full_run, "raycast").read_text()
-    for caption in ("The confidence of the vertices against", "Reliability of all that states an uncertainty"):
+    for caption in ("The sigma of the vertices against", "Reliability of all that states an uncertainty"):
         assert page.count(f"<figcaption>{caption}") == 1
 
 
 def test_sensors_are_set_side_by_side(full_run):
     assert 'share in the map</td><td class="number">-</td>' in write_report(full_run, "raycast").read_text()
-    full_run.finish_stage("map", "0", time.time(), {"sensor_share": {"noisy": 0.625}})
+    full_run.finish_stage("map", "0", time.time(), {"sensor_weight_share": {"noisy": 0.625}})
     page = write_report(full_run, "raycast").read_text()
     assert 'share in the map</td><td class="number">62.5</td><td>%</td>' in page
     assert re.search(r"beta at 2 m</td><td class=\"number\">(3\.9|4\.[01])\d</td><td>cm</td>", page)

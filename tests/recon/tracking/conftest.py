@@ -10,7 +10,7 @@ from uncle.recon.core.camera import Camera
 from uncle.recon.core.se3 import inverse, moved, transform
 from uncle.recon.tracking.bundle_adjustment import Observations
 from uncle.recon.tracking.keyframe_graph import KeyframeGraph
-from uncle.recon.tracking.landmarks import Sighting
+from uncle.recon.tracking.landmarks import FrameFeatures
 
 CAMERA = Camera(320, 240, 200.0, 210.0, 160.0, 118.0)
 
@@ -69,7 +69,7 @@ def make_graph():
             own = observations[observations.camera == index]
             noise = np.zeros((*own.depths.shape, 0), np.float32)
             read = own.uv, own.sigma_px, own.depths, own.sigmas_m, np.zeros_like(own.depths), noise
-            graph.sightings.append(Sighting(index, pose, *read, own.point.copy(), common_px))
+            graph.frames.append(FrameFeatures(index, pose, *read, own.point.copy(), common_px))
         graph.keyframes = list(keyframes)
         return graph
 

@@ -6,18 +6,8 @@ import numpy as np
 import pytest
 from scipy.optimize import least_squares
 from uncle.recon.core.se3 import angle, inverse, moved
-from uncle.recon.tracking.bundle_adjustment import (
-    DEPTH_SCALE,
-    PIXEL_SCALE,
-    Observations,
-    adjust,
-    covariances,
-    residuals,
-    robust_weights,
-    share_of_readings,
-    without_outliers,
-)
-from uncle.recon.tracking.landmarks import share_of_pixels
+from uncle.recon.tracking.bundle_adjustment import DEPTH_SCALE, PIXEL_SCALE, Observations, adjust, covariances, depth_information_factor, residuals, robust_weights, without_outliers
+from uncle.recon.tracking.landmarks import pixel_information_factor
 from uncle.recon.tracking.pose_graph_edges import PoseEdges
 
 STEP = 1e-6
@@ -102,7 +92,7 @@ def test_pixels_count_the_share_that_is_theirs():
 def test_the_readings_of_a_sensor_of_one_point_share_its_information(make_scene):
     scene = make_scene()
     seen = scene.observations
-    share = share_of_readings(seen)
+    share = depth_information_factor(seen)
     for sensor in range(seen.depths.shape[1]):
         read = seen.depths[:, sensor] > 0
         total = np.bincount(seen.point[read], share[read, sensor], minlength=len(scene.points))
@@ -182,7 +172,7 @@ def test_agrees_with_dense_least_squares(make_scene):
 
     def robust(x):  # their squares are the robust cost; signed, so that derivatives are smooth
         r, _, _ = all_residuals(scene, *at(x))
-        share = np.sqrt(share_of_readings(scene.observations)).ravel()
+        share = np.sqrt(depth_information_factor(scene.observations)).ravel()
         return np.concatenate([shrunk(r[:, :2], PIXEL_SCALE), shrunk(r[:, 2:].reshape(-1, 1), DEPTH_SCALE) * share])
 
     oracle = least_squares(robust, np.zeros(12 + points.size))
@@ -198,7 +188,7 @@ def test_one_step_is_that_of_the_dense_normal_equations(make_scene):
     start = scene.perturbed(1e-4, 1e-4, 1e-4)
     found = adjust(scene.camera, *start, scene.observations, scene.free, iterations=1)
     r, _, _ = all_residuals(scene, *start)
-    weights, _ = robust_weights(r, np.ones(len(r)), share_of_readings(scene.observations))
+    weights, _ = robust_weights(r, np.ones(len(r)), depth_information_factor(scene.observations))
     J, root = dense_jacobian(scene, *start)[:, 6:], np.sqrt(weights).ravel()
     normal = J.T @ (J * root[:, None] ** 2)
     normal += np.diag(1e-4 * np.diag(normal) + 1e-9)  # the damping of a first step
@@ -216,7 +206,7 @@ def test_covariance_is_that_of_the_dense_inverse(make_scene, noise_px):
     scene = replace(scene, observations=noisy)
     found = covariances(scene.camera, scene.poses, scene.points, scene.observations, scene.free)
     r, _, _ = all_residuals(scene, scene.poses, scene.points)
-    weights, _ = robust_weights(r, np.ones(len(r)), share_of_readings(scene.observations))
+    weights, _ = robust_weights(r, np.ones(len(r)), depth_information_factor(scene.observations))
     J = dense_jacobian(scene, scene.poses, scene.points)[:, 6:]
     spread = 1.48 * np.median(np.abs(r[:, :2]))
     assert (spread > 1) == (noise_px > 1), "both sides of the sigma that pixels are said to have"
@@ -283,7 +273,7 @@ def test_surfaces_outweigh_pixels_that_are_off_together(make_scene):
     edges = PoseEdges(first, second, motions, np.tile(np.diag([0.01**-2] * 3 + [0.01**-2] * 3), (3, 1, 1)))
     off = []
     for common in (0.0, 5.0):
-        share = share_of_pixels(wrong.sigma_px[: len(scene.points)], common)
+        share = pixel_information_factor(wrong.sigma_px[: len(scene.points)], common)
         seen = replace(wrong, share_px=np.tile(share, len(scene.poses)))
         found = adjust(scene.camera, scene.poses, scene.points, seen, scene.free, edges=edges, iterations=30)
         off.append(shifts_and_turns(found.poses, scene.poses)[0])

@@ -12,14 +12,14 @@ from uncle.recon.core.config.uncle import TrackingConfig
 from uncle.recon.core.frame import Frame
 from uncle.recon.core.normals import normals, smooth_depth
 from uncle.recon.core.se3 import angle, inverse, motion_between, moved
-from uncle.recon.tracking.depth_only import expectation, followed, near_view, on_surface
+from uncle.recon.tracking.depth_only import align_to_tsdf, coarse_to_fine_icp, expectation, track_from_keyframe
 from uncle.recon.tracking.frame_to_frame import SurfaceView
 from uncle.recon.tracking.frame_to_model import Readings
 from uncle.recon.tracking.keyframe_graph import KeyframeGraph
-from uncle.recon.tracking.landmarks import Sighting
+from uncle.recon.tracking.landmarks import FrameFeatures
 from uncle.recon.tracking.tracker import AlignTracker
 from uncle.recon.volume.sparse_grid import SparseGrid
-from uncle.recon.volume.tsdf_volume import FusionVolume
+from uncle.recon.volume.tsdf_volume import TsdfVolume
 
 BALLS = (
     ((3.2, 2.2, 0.9), 0.45),
@@ -75,7 +75,7 @@ class Followed:
 
 def follow(room, depths: Sequence[np.ndarray], first: np.ndarray, draw: int = 0) -> Followed:
     """Track by depth alone; keyframes and every third frame enter the map, as in `uncle map --track --no-color`."""
-    volume = FusionVolume(SparseGrid(0.02), room.camera, TRUNCATION_M, 6.0)
+    volume = TsdfVolume(SparseGrid(0.02), room.camera, TRUNCATION_M, 6.0)
     tracker = AlignTracker(room.camera, TrackingConfig(color=False), 0, (None,), volume)
     for index, exact in enumerate(depths):
         depth = torch.from_numpy(noisy(exact, index, draw)).float()
@@ -160,17 +160,17 @@ def test_a_view_draws_from_far(box_room):
     keyframe = (view_of(box_room, depth_of(box_room, true)), true)
     away = moved(true, np.array([0.15, -0.08, 0.1, 0.05, 0.08, -0.03]))
     view = view_of(box_room, depth_of(box_room, away))
-    found = near_view(keyframe, view, true, expectation(true, true))
+    found = coarse_to_fine_icp(keyframe, view, true, expectation(true, true))
     assert np.linalg.norm((inverse(away) @ found)[:3, 3]) < 0.01
     assert angle(inverse(away) @ found) < 0.01
 
 
 @pytest.fixture(scope="module")
-def mapped(box_room) -> tuple[FusionVolume, Readings, np.ndarray, np.ndarray]:
+def mapped(box_room) -> tuple[TsdfVolume, Readings, np.ndarray, np.ndarray]:
     """A map of one view, readings of it, where it was taken from, its depth."""
     pose = box_room.pose(CORNER)
     depth = depth_of(box_room, pose)
-    volume = FusionVolume(SparseGrid(0.02), box_room.camera, TRUNCATION_M, 6.0)
+    volume = TsdfVolume(SparseGrid(0.02), box_room.camera, TRUNCATION_M, 6.0)
     T, image = torch.from_numpy(pose).float(), torch.from_numpy(depth).float()
     volume.allocate(image, T)
     volume.integrate(image, None, torch.zeros(120, 160, 3, dtype=torch.uint8), T)
@@ -184,8 +184,8 @@ def test_the_yardstick_of_a_fit_does_not_depend_on_what_is_promised(mapped):
     """Learning makes the promises smaller, which is no reason to be lost."""
     volume, readings, pose, _ = mapped
     prior = expectation(pose, pose)
-    modest = on_surface(volume, readings, pose, prior)
-    bold = on_surface(volume, replace(readings, beta=readings.beta / 10), pose, prior)
+    modest = align_to_tsdf(volume, readings, pose, prior)
+    bold = align_to_tsdf(volume, replace(readings, beta=readings.beta / 10), pose, prior)
     assert bold.scale > 3 * modest.scale
     assert bold.fit == pytest.approx(modest.fit, rel=0.1)
     assert modest.fit < 0.5
@@ -198,15 +198,15 @@ def test_being_sure_takes_more(mapped):
     stray[::3] *= 0.5
     readings = replace(readings, points=stray)
     prior = expectation(pose, pose)
-    assert on_surface(volume, readings, pose, prior) is not None
-    assert on_surface(volume, readings, pose, prior, sure=True) is None
+    assert align_to_tsdf(volume, readings, pose, prior) is not None
+    assert align_to_tsdf(volume, readings, pose, prior, sure=True) is None
 
 
 def test_a_standstill_is_tried_after_the_expected_motion(box_room, mapped):
     volume, readings, pose, depth = mapped
     keyframe = (view_of(box_room, depth), pose)
     away = moved(pose, np.array([0.0, 0.0, -30.0, 0.0, 0.0, 0.0]))
-    candidates = list(followed(volume, readings, keyframe[0], keyframe, pose, away))
+    candidates = list(track_from_keyframe(volume, readings, keyframe[0], keyframe, pose, away))
     assert len(candidates) == 1
     assert np.abs(motion_between(pose, candidates[0].pose)).max() < 0.01
 
@@ -225,15 +225,15 @@ def test_a_way_round_the_room_is_closed_without_features(box_room):
     pose = truth[0]
     for index, true in enumerate(truth):
         if index:
-            pose = moved(graph.sightings[-1].pose @ inverse(truth[index - 1]) @ true, drift)
+            pose = moved(graph.frames[-1].pose @ inverse(truth[index - 1]) @ true, drift)
         empty = np.zeros((0, 1))
-        sighting = Sighting(
+        frame_features = FrameFeatures(
             index, pose, np.zeros((0, 2)), np.zeros(0), empty, empty, empty, np.zeros((0, 1, 0), np.float32),
             np.zeros(0, np.int64),
         )  # fmt: skip
-        graph.add(sighting, none, view_of(box_room, depth_of(box_room, true)))
+        graph.add(frame_features, none, view_of(box_room, depth_of(box_room, true)))
     graph.adjust_globally()
     assert any(first < 3 and later > 21 for first, later in graph.loops)
-    off = [np.linalg.norm(s.pose[:3, 3] - true[:3, 3]) for s, true in zip(graph.sightings, truth, strict=True)]
+    off = [np.linalg.norm(s.pose[:3, 3] - true[:3, 3]) for s, true in zip(graph.frames, truth, strict=True)]
     assert max(off) < 0.02
     assert off[-1] < 0.005

@@ -10,15 +10,7 @@ from uncle.recon.core.config.uncle import TrackingConfig, UncertaintyConfig
 from uncle.recon.core.frame import Frame
 from uncle.recon.sensors.noise_inputs import FEATURES
 from uncle.recon.sensors.noise_model import NoiseModel, Residuals
-from uncle.recon.tracking.frame_observations import (
-    EDGE_SHARE,
-    UNTAUGHT,
-    prepare,
-    readings_of,
-    sight,
-    surface_view,
-    weigh,
-)
+from uncle.recon.tracking.frame_observations import DEFAULT_BETA, EDGE_SHARE, observe_features, prepare, sample_depth_points, surface_view, weigh
 from uncle.recon.tracking.local_features import LocalFeatures, no_features
 
 CAMERA = Camera(160, 120, 120.0, 120.0, 79.5, 59.5)
@@ -56,18 +48,18 @@ def features_at(*uv: tuple[float, float]) -> LocalFeatures:
 def test_features_carry_the_reading_of_the_nearest_pixel():
     depth = torch.arange(120.0 * 160).view(120, 160)
     made = frame(a=depth, b=image(0.0))
-    found = sight(made, features_at((10.4, 20.6), (159.4, 119.4), (-0.4, 0.0)), {}, [None, None], CAMERA)
+    found = observe_features(made, features_at((10.4, 20.6), (159.4, 119.4), (-0.4, 0.0)), {}, [None, None], CAMERA)
     assert found.depths[:, 0].tolist() == [21 * 160 + 10, 119 * 160 + 159, 0.0]
     assert (found.depths[:, 1] == 0).all()
     assert (found.landmark == -1).all()
     assert found.index == 5
-    assert len(sight(made, no_features(), {}, [None, None], CAMERA)) == 0
+    assert len(observe_features(made, no_features(), {}, [None, None], CAMERA)) == 0
 
 
 def test_sigmas_are_those_of_each_sensor():
     made = frame(a=image(2.0), b=image(3.0))
-    found = sight(made, features_at((80.0, 60.0)), seen(made), [taught(0.02), None], CAMERA)
-    expected = [math.sqrt(2) * 0.02, math.sqrt(2) * (UNTAUGHT[0] + UNTAUGHT[1] * 9)]
+    found = observe_features(made, features_at((80.0, 60.0)), seen(made), [taught(0.02), None], CAMERA)
+    expected = [math.sqrt(2) * 0.02, math.sqrt(2) * (DEFAULT_BETA[0] + DEFAULT_BETA[1] * 9)]
     np.testing.assert_allclose(found.sigmas_m[0], expected, rtol=1e-5)
     weigh(found, [taught(0.05), taught(0.01)])  # learned since
     np.testing.assert_allclose(found.sigmas_m[0], [math.sqrt(2) * 0.05, math.sqrt(2) * 0.01], rtol=1e-5)
@@ -76,17 +68,17 @@ def test_sigmas_are_those_of_each_sensor():
 def test_a_model_that_never_learned_is_not_asked():
     made = frame(a=image(2.0))
     fresh = NoiseModel(UncertaintyConfig(), torch.Generator().manual_seed(0))
-    found = sight(made, features_at((80.0, 60.0)), seen(made), [fresh], CAMERA)
-    assert found.sigmas_m[0, 0] == pytest.approx(math.sqrt(2) * (UNTAUGHT[0] + UNTAUGHT[1] * 4))
+    found = observe_features(made, features_at((80.0, 60.0)), seen(made), [fresh], CAMERA)
+    assert found.sigmas_m[0, 0] == pytest.approx(math.sqrt(2) * (DEFAULT_BETA[0] + DEFAULT_BETA[1] * 4))
 
 
 def test_a_feature_beside_an_edge_is_less_certain():
     depth = image(2.0)
     depth[:, 80:] = 2.5
     depth[:20] = 0.0  # holes are no edges
-    found = sight(frame(a=depth), features_at((78.0, 60.0), (40.0, 60.0), (40.0, 21.0)), {}, [None], CAMERA)
+    found = observe_features(frame(a=depth), features_at((78.0, 60.0), (40.0, 60.0), (40.0, 21.0)), {}, [None], CAMERA)
     np.testing.assert_allclose(found.edges[:, 0], [0.5, 0.0, 0.0], atol=1e-6)
-    flat = math.sqrt(2) * (UNTAUGHT[0] + UNTAUGHT[1] * 4)
+    flat = math.sqrt(2) * (DEFAULT_BETA[0] + DEFAULT_BETA[1] * 4)
     np.testing.assert_allclose(found.sigmas_m[:, 0], [math.hypot(flat, EDGE_SHARE * 0.5), flat, flat], rtol=1e-5)
 
 
@@ -128,7 +120,7 @@ def test_readings_are_of_all_sensors_within_reach():
     near[:60] = 0.0
     made = frame(near=near, far=far)
     config = TrackingConfig(readings=300)
-    found = readings_of(made, seen(made), [taught(0.02), None], CAMERA, config, 6.0)
+    found = sample_depth_points(made, seen(made), [taught(0.02), None], CAMERA, config, 6.0)
     assert 100 < len(found) < 200  # half of about 300, and none of the far ones
     assert (found.points[:, 2] == 2.0).all()
     assert (found.points[:, 1] > 0).all()
@@ -142,5 +134,5 @@ def test_readings_are_of_all_sensors_within_reach():
 def test_without_colour_there_are_no_features_and_no_grey():
     made, config = frame(a=image(2.0)), TrackingConfig(color=False)
     assert len(prepare(made, {"a": NORMALS}, CAMERA, config).features) == 0
-    assert readings_of(made, {}, [None], CAMERA, config, 6.0).grey is None
-    assert len(readings_of(frame(a=image(0.0)), {}, [None], CAMERA, TrackingConfig(), 6.0)) == 0
+    assert sample_depth_points(made, {}, [None], CAMERA, config, 6.0).grey is None
+    assert len(sample_depth_points(frame(a=image(0.0)), {}, [None], CAMERA, TrackingConfig(), 6.0)) == 0

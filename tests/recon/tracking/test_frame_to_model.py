@@ -6,19 +6,11 @@ import numpy as np
 import pytest
 import torch
 from uncle.recon.core.se3 import angle, inverse, motion_between, moved, transform
-from uncle.recon.tracking.frame_to_model import (
-    COLOR_SIGMA,
-    LEAST_SCALE,
-    Readings,
-    agreement,
-    scaled,
-    surface_residuals,
-    surface_term,
-)
+from uncle.recon.tracking.frame_to_model import COLOR_SIGMA, LEAST_SCALE, Readings, agreement, scaled, surface_residuals, surface_term
 from uncle.recon.tracking.pose_estimation import minimise
-from uncle.recon.tracking.tsdf_lookup import look_compiled, look_tensors
+from uncle.recon.tracking.tsdf_lookup import query_numba, query_torch
 from uncle.recon.volume.sparse_grid import SparseGrid
-from uncle.recon.volume.tsdf_volume import FusionVolume
+from uncle.recon.volume.tsdf_volume import TsdfVolume
 
 CORNER = 0.785  # the angle at which the camera sees a corner of the room
 OFF = np.array([0.02, -0.015, 0.025, 0.008, -0.01, 0.006])
@@ -36,8 +28,8 @@ def view(room, pose, depth=None) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     return depth, points, texture(transform(pose, points))
 
 
-def fused(room, poses, depths=None) -> FusionVolume:
-    volume = FusionVolume(SparseGrid(0.03), room.camera, 0.15, 6.0)
+def fused(room, poses, depths=None) -> TsdfVolume:
+    volume = TsdfVolume(SparseGrid(0.03), room.camera, 0.15, 6.0)
     for index, pose in enumerate(poses):
         depth, _, grey = view(room, pose, None if depths is None else depths[index])
         color = torch.from_numpy(np.rint(255 * grey)).to(torch.uint8)[..., None].expand(-1, -1, 3)
@@ -55,7 +47,7 @@ def readings(room, pose, color: bool, step: int = 6, depth=None) -> Readings:
 
 
 @pytest.fixture(scope="module")
-def corner(box_room) -> FusionVolume:
+def corner(box_room) -> TsdfVolume:
     return fused(box_room, [box_room.pose(CORNER + turn) for turn in (-0.15, 0.0, 0.15)])
 
 
@@ -158,10 +150,10 @@ def test_compiled_lookup_is_that_of_tensors(box_room, corner):
         points.shape, generator=torch.Generator().manual_seed(2)
     )  # some are off the map
     T = torch.from_numpy(moved(pose, OFF)).float()
-    expected, found = look_tensors(corner, points, T), look_compiled(corner, points, T)
+    expected, found = query_torch(corner, points, T), query_numba(corner, points, T)
     assert 100 < len(expected.kept) < len(points) - 20
     assert torch.equal(found.kept, expected.kept)
     for name in ("sdf", "gradient", "sigma", "grey", "grey_gradient"):
         torch.testing.assert_close(getattr(found, name), getattr(expected, name), rtol=1e-3, atol=2e-4)
-    nothing = look_compiled(corner, points[:0], T)
+    nothing = query_numba(corner, points[:0], T)
     assert len(nothing.kept) == len(nothing.sdf) == 0

@@ -22,10 +22,10 @@ def test_frames_between_keyframes_that_move_far_move_along_and_are_placed(make_s
         if not free_points:
             return adjust(self, positions, free, iterations, free_points)
         for position in positions:
-            self.sightings[position].pose = scene.poses[position]
+            self.frames[position].pose = scene.poses[position]
 
     monkeypatch.setattr(KeyframeGraph, "_adjust", close)
     monkeypatch.setattr(keyframe_graph, "_MAX_CAMERAS", 3)
     graph.adjust_globally()
-    off = [np.linalg.norm(s.pose[:3, 3] - true[:3, 3]) for s, true in zip(graph.sightings, scene.poses, strict=True)]
+    off = [np.linalg.norm(s.pose[:3, 3] - true[:3, 3]) for s, true in zip(graph.frames, scene.poses, strict=True)]
     assert max(off) < 1e-3

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from uncle.recon.core.camera import Camera
 from uncle.recon.core.se3 import angle, inverse, moved, transform
-from uncle.recon.tracking.landmarks import NONE, Landmarks, Sighting
+from uncle.recon.tracking.landmarks import NONE, FrameFeatures, Landmarks
 from uncle.recon.tracking.loop_closure import corrected_poses, recognise
 
 CAMERA = Camera(320, 240, 200.0, 210.0, 160.0, 118.0)
@@ -27,22 +27,22 @@ def world() -> tuple[Landmarks, dict[int, np.ndarray]]:
     return landmarks, {10 + k: numbers[k * EACH : (k + 1) * EACH] for k in range(KEYFRAMES)}
 
 
-def look(landmarks: Landmarks, numbers: np.ndarray, pose: np.ndarray, strangers: int = 40):
+def look(landmarks: Landmarks, numbers: np.ndarray, pose: np.ndarray, independent: int = 40):
     """A view of the landmarks among features of nothing, with its descriptors; in mixed order."""
     rng = np.random.default_rng(1)
     local = transform(inverse(pose), landmarks.points[numbers])
     uv = local[:, :2] / local[:, 2:] * [CAMERA.fx, CAMERA.fy] + [CAMERA.cx, CAMERA.cy]
-    uv = np.concatenate([uv, rng.uniform([0, 0], [320, 240], (strangers, 2))])
-    z = np.concatenate([local[:, 2:], np.zeros((strangers, 1))])
+    uv = np.concatenate([uv, rng.uniform([0, 0], [320, 240], (independent, 2))])
+    z = np.concatenate([local[:, 2:], np.zeros((independent, 1))])
     found = landmarks.descriptors[numbers] + rng.normal(0, 0.01, (len(numbers), 128))
-    found = np.concatenate([found, descriptors(rng, strangers)])
+    found = np.concatenate([found, descriptors(rng, independent)])
     found = (found / np.linalg.norm(found, axis=1, keepdims=True)).astype(np.float32)
     order, count = rng.permutation(len(uv)), len(uv)
-    view = Sighting(
+    view = FrameFeatures(
         99, np.eye(4), uv[order], np.ones(count), z[order], np.full((count, 1), 0.02), np.zeros((count, 1)),
         np.zeros((count, 1, 0), np.float32), np.full(count, NONE),
     )  # fmt: skip
-    return view, found[order], np.concatenate([numbers, np.full(strangers, NONE)])[order]
+    return view, found[order], np.concatenate([numbers, np.full(independent, NONE)])[order]
 
 
 @pytest.mark.parametrize("keyframe", [10, 13, 14])

@@ -32,9 +32,15 @@ from uncle.recon.stages.mesh import mesh_run
 
 CAMERA = Camera(160, 120, 95.0, 95.0, 79.5, 59.5)
 QUICK = [
-    "fusion.voxel_size_m=0.04", "fusion.min_readings=1", "keyframes.rays=200", "field.iterations=3", "field.rays=128",
-    "uncertainty.steps_per_keyframe=2", "uncertainty.steps_per_sweep=20", "uncertainty.batch=512",
-]  # fmt: skip
+    "fusion.voxel_size_m=0.04",
+    "fusion.min_observations=1",
+    "keyframes.rays=200",
+    "field.iterations=3",
+    "field.rays=128",
+    "uncertainty.steps_per_keyframe=2",
+    "uncertainty.steps_per_pass=20",
+    "uncertainty.batch=512",
+]
 FRAMES = 24
 
 
@@ -140,7 +146,7 @@ class Tracked:
 
 
 def settings(*overrides: str, method: str = "uncle", **top_level):
-    quick = QUICK if method == "uncle" else ["fusion.min_readings=1", "fusion.voxel_size_m=0.04"]
+    quick = QUICK if method == "uncle" else ["fusion.min_observations=1", "fusion.voxel_size_m=0.04"]
     return make_config(method, ["tracking.enabled=true", *quick, *overrides], device="cpu", **top_level)
 
 
@@ -302,7 +308,7 @@ def test_a_second_recording_leaves_the_first_unharmed(walk, elsewhere, record):
 
 
 def test_identical_frames_do_not_drift(walk, record):
-    result = track(record([walk[0]] * 60), "tracking.explore_every=10")
+    result = track(record([walk[0]] * 60), "tracking.integrate_every=10")
     assert result.where("lost", "relocalised") == []
     assert result.ate_m([walk[0]] * 60) < 0.001
 

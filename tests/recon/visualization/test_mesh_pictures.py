@@ -10,13 +10,7 @@ from uncle.recon.core.mesh import Mesh
 from uncle.recon.run.directory import RunDirectory
 from uncle.recon.visualization import mesh_pictures as snapshot
 from uncle.recon.visualization import offscreen
-from uncle.recon.visualization.mesh_pictures import (
-    RENDERERS,
-    draw_mesh,
-    load_run_mesh,
-    snapshot_views,
-    surface_distance,
-)
+from uncle.recon.visualization.mesh_pictures import RENDERERS, draw_mesh, load_run_mesh, snapshot_views, surface_distance
 from uncle.recon.visualization.shading import Geometry, light_triangles
 from uncle.recon.visualization.views import View, guess_up, mesh_views, run_views, spread_poses, trajectory_up
 
@@ -105,7 +99,7 @@ def test_error_picture_shows_the_colour_of_two_centimetres(renderer):
 
 
 def test_confidence_scale_ends_at_the_largest_common_value():
-    drawn = draw_mesh(box((0, 0, 2.0), 0.25), [looking_ahead()], ["confidence"], None, "raycast")[0]
+    drawn = draw_mesh(box((0, 0, 2.0), 0.25), [looking_ahead()], ["sigma"], None, "raycast")[0]
     assert drawn.scale.high == pytest.approx(0.02)
     expected = np.array(colormaps["viridis_r"](1.0)[:3]) * 255
     np.testing.assert_allclose(drawn.pictures[0][60, 80], expected, atol=3)
@@ -170,7 +164,7 @@ def test_poses_are_spread(box_room):
 
 def test_what_is_missing_is_named(tmp_path):
     plain = Mesh(*(getattr(box((0, 0, 2), 1), name) for name in ("vertices", "faces")))
-    for mode, word in (("color", "colours"), ("confidence", "uncle mesh"), ("error", "--gt")):
+    for mode, word in (("color", "colours"), ("sigma", "uncle mesh"), ("error", "--gt")):
         with pytest.raises(DataError, match=word):
             draw_mesh(plain, [looking_ahead()], [mode], None, "raycast")
     with pytest.raises(ConfigError, match="shaded, color"):
@@ -209,5 +203,5 @@ def test_sheets_and_single_pictures_are_written(tmp_path):
     views = mesh_views(mesh.vertices, mesh.faces, (64, 48))
     for drawn in draw_mesh(mesh, views, None, mesh, "raycast"):
         assert drawn.save(tmp_path).read_bytes().startswith(b"\x89PNG")
-    assert {path.stem for path in tmp_path.glob("*.png")} == {"shaded", "color", "confidence", "error"}
+    assert {path.stem for path in tmp_path.glob("*.png")} == {"shaded", "color", "sigma", "error"}
     assert len(list((tmp_path / "views").glob("*.png"))) == 16

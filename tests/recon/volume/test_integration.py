@@ -6,7 +6,7 @@ import pytest
 import torch
 from uncle.recon.volume.integration import Bounds, Observation, integrate, integrate_tensors
 from uncle.recon.volume.sparse_grid import SparseGrid
-from uncle.recon.volume.tsdf_volume import FreeSpace, FusionVolume
+from uncle.recon.volume.tsdf_volume import FreeSpace, TsdfVolume
 
 
 def observation(room, weighted: bool, free: bool, colored: bool) -> tuple[Observation, torch.Tensor]:
@@ -19,7 +19,7 @@ def observation(room, weighted: bool, free: bool, colored: bool) -> tuple[Observ
     color = torch.randint(0, 255, (*depth.shape, 3), generator=generator, dtype=torch.uint8) if colored else None
     T_world_camera = torch.from_numpy(pose).float()
     T_camera_world = torch.linalg.inv(T_world_camera)
-    return Observation(depth, weight, space.weight, space.doubt_m, color, T_camera_world), T_world_camera
+    return Observation(depth, weight, space.weight, space.scale_m, color, T_camera_world), T_world_camera
 
 
 @pytest.mark.parametrize(
@@ -27,7 +27,7 @@ def observation(room, weighted: bool, free: bool, colored: bool) -> tuple[Observ
 )
 def test_compiled_equals_tensors(box_room, weighted, free, colored):
     seen, T_world_camera = observation(box_room, weighted, free, colored)
-    volume = FusionVolume(SparseGrid(0.05), box_room.camera, 0.2, 6.0)
+    volume = TsdfVolume(SparseGrid(0.05), box_room.camera, 0.2, 6.0)
     volume.allocate(seen.depth, T_world_camera)
     volume.allocate(0.5 * seen.depth, T_world_camera)  # free space to speak for
     ids = torch.arange(len(volume.grid.blocks))
@@ -50,8 +50,8 @@ def test_compiled_equals_tensors(box_room, weighted, free, colored):
 
 def test_threads_change_no_bit(box_room, threads):
     seen, T_world_camera = observation(box_room, weighted=True, free=True, colored=True)
-    volume, alone = (FusionVolume(SparseGrid(0.05), box_room.camera, 0.2, 6.0) for _ in range(2))
-    space = FreeSpace(seen.free_weight, seen.doubt_m)
+    volume, alone = (TsdfVolume(SparseGrid(0.05), box_room.camera, 0.2, 6.0) for _ in range(2))
+    space = FreeSpace(seen.free_weight, seen.free_space_scale_m)
     for target, count in ((volume, threads), (alone, 1)):
         torch.set_num_threads(count)
         target.allocate(seen.depth, T_world_camera)

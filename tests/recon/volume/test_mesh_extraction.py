@@ -69,21 +69,21 @@ def test_floaters_are_removed_and_objects_stay():
         assert (mesh_of(field, clean=False).vertices[:, 2] < 1.0).any()
 
 
-def test_colour_and_confidence_are_those_of_the_map():
+def test_colour_and_sigma_are_those_of_the_map():
     field = make_field(wall, sigma=lambda p: 0.01 + 0.005 * p[:, 0])
     mesh = mesh_of(field)
-    assert len(mesh.confidence) == len(mesh.colors) == len(mesh.vertices)
+    assert len(mesh.sigma) == len(mesh.colors) == len(mesh.vertices)
     assert (mesh.colors == np.array(ORANGE, np.uint8)).all()
-    np.testing.assert_allclose(mesh.confidence, 0.01 + 0.005 * mesh.vertices[:, 0], atol=1e-5)
+    np.testing.assert_allclose(mesh.sigma, 0.01 + 0.005 * mesh.vertices[:, 0], atol=1e-5)
 
 
-def test_least_confidence():
+def test_max_sigma():
     field = make_field(wall, sigma=lambda p: torch.where(p[:, 0] > 0, 0.05, 0.005))
     mesh = mesh_of(field, max_sigma_m=0.01)
-    assert mesh.confidence.max() <= 0.01
+    assert mesh.sigma.max() <= 0.01
     assert -0.7 < mesh.vertices[:, 0].min() < -0.5
     assert mesh.vertices[:, 0].max() < 0.02
-    with pytest.raises(DataError, match=r"0\.1 cm.*--min-confidence"):
+    with pytest.raises(DataError, match=r"0\.1 cm.*--max-sigma"):
         mesh_of(field, max_sigma_m=0.001)
 
 

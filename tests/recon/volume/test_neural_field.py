@@ -7,16 +7,16 @@ from uncle.recon.core.config.uncle import FieldConfig
 from uncle.recon.core.tensor_files import load_tensors, save_tensors
 from uncle.recon.volume.neural_field import ACTIVE_VOXELS, NeuralField
 from uncle.recon.volume.sparse_grid import SparseGrid
-from uncle.recon.volume.tsdf_volume import FusionVolume
+from uncle.recon.volume.tsdf_volume import TsdfVolume
 
 CAMERA = Camera(80, 60, 60.0, 60.0, 39.5, 29.5)
 VOXEL = 0.05
 
 
 @pytest.fixture
-def volume() -> FusionVolume:
+def volume() -> TsdfVolume:
     """A slanted plane, seen twice in green."""
-    made = FusionVolume(SparseGrid(VOXEL), CAMERA, 4 * VOXEL, 5.0)
+    made = TsdfVolume(SparseGrid(VOXEL), CAMERA, 4 * VOXEL, 5.0)
     depth = 2.0 + 0.3 * CAMERA.rays()[..., 0]
     color = torch.tensor([0, 204, 51], dtype=torch.uint8).expand(60, 80, 3)
     made.allocate(depth, torch.eye(4))
@@ -25,9 +25,9 @@ def volume() -> FusionVolume:
     return made
 
 
-def make_field(volume: FusionVolume, min_readings: float = 2, **settings) -> NeuralField:
+def make_field(volume: TsdfVolume, min_observations: float = 2, **settings) -> NeuralField:
     config = FieldConfig(**settings)
-    return NeuralField.from_fusion(volume, min_readings, config, torch.Generator().manual_seed(0))
+    return NeuralField.from_fusion(volume, min_observations, config, torch.Generator().manual_seed(0))
 
 
 def shaken(field: NeuralField) -> NeuralField:
@@ -50,7 +50,7 @@ def probes(field: NeuralField, count: int = 3000) -> torch.Tensor:
 def test_confidence_is_stated_by_the_weights_where_they_mean_something(volume):
     plain, stated = make_field(volume), NeuralField.from_fusion(volume, 2, FieldConfig(), torch.Generator(), 0.03)
     assert torch.equal(plain.sigma, volume.samples().sigma)
-    assert torch.equal(stated.sigma, volume.samples().stated_sigma(0.03))
+    assert torch.equal(stated.sigma, volume.samples().propagated_sigma(0.03))
     assert not torch.equal(plain.sigma, stated.sigma)
 
 
@@ -71,7 +71,7 @@ def test_starts_as_the_fused_map(volume):
 
 
 def test_too_few_readings_are_unknown(volume):
-    field = make_field(volume, min_readings=3)
+    field = make_field(volume, min_observations=3)
     assert not field(probes(field))[2].any()
 
 

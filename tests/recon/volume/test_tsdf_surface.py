@@ -5,19 +5,19 @@ import pytest
 import torch
 from uncle.recon.core.camera import Camera
 from uncle.recon.volume.sparse_grid import SparseGrid
-from uncle.recon.volume.tsdf_surface import MapSurface
+from uncle.recon.volume.tsdf_surface import TsdfSurface
 
 CAMERA = Camera(64, 48, 50.0, 50.0, 31.5, 23.5)
 WALL_M = 2.03
 
 
 @pytest.fixture(scope="module")
-def wall() -> MapSurface:
+def wall() -> TsdfSurface:
     """The plane z = WALL_M, of which the half x > 0 was not seen often enough."""
     grid = SparseGrid(0.05)
     grid.allocate(torch.cartesian_prod(torch.arange(-6, 6), torch.arange(-6, 6), torch.arange(3, 7)))
     positions = grid.block_positions(torch.arange(len(grid.blocks))).view(-1, 3)
-    return MapSurface(grid, (WALL_M - positions[:, 2]).clamp(-0.2, 0.2), positions[:, 0] <= 0.01, 4.0, 0.15)
+    return TsdfSurface(grid, (WALL_M - positions[:, 2]).clamp(-0.2, 0.2), positions[:, 0] <= 0.01, 4.0, 0.15)
 
 
 def turned(angle: float) -> np.ndarray:
@@ -49,5 +49,5 @@ def test_stride_takes_every_nth_pixel(wall):
 
 
 def test_typical_distance_is_the_median_of_what_is_seen(wall):
-    assert wall.typical_distance(CAMERA, turned(0.0)) == pytest.approx(1.5, abs=2e-3)
-    assert wall.typical_distance(CAMERA, turned(np.pi)) is None
+    assert wall.median_depth(CAMERA, turned(0.0)) == pytest.approx(1.5, abs=2e-3)
+    assert wall.median_depth(CAMERA, turned(np.pi)) is None

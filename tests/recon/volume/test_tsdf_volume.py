@@ -11,17 +11,17 @@ from uncle.recon.methods.uncle.mapper import Mapper
 from uncle.recon.run.directory import RunDirectory
 from uncle.recon.run.frames import RunFrames
 from uncle.recon.volume.sparse_grid import ROWS, SparseGrid
-from uncle.recon.volume.tsdf_volume import MAX_SIGMA_M, MIN_SIGMA_M, SHARED_ERROR, FreeSpace, FusionVolume
+from uncle.recon.volume.tsdf_volume import ERROR_CORRELATION, MAX_SIGMA_M, MIN_SIGMA_M, FreeSpace, TsdfVolume
 
 CAMERA = Camera(80, 60, 60.0, 60.0, 39.5, 29.5)
 VOXEL, TRUNCATION = 0.05, 0.2
 
 
-def make_volume(camera: Camera = CAMERA, max_depth_m: float = 5.0) -> FusionVolume:
-    return FusionVolume(SparseGrid(VOXEL), camera, TRUNCATION, max_depth_m)
+def make_volume(camera: Camera = CAMERA, max_depth_m: float = 5.0) -> TsdfVolume:
+    return TsdfVolume(SparseGrid(VOXEL), camera, TRUNCATION, max_depth_m)
 
 
-def positions(volume: FusionVolume) -> torch.Tensor:
+def positions(volume: TsdfVolume) -> torch.Tensor:
     return volume.grid.block_positions(torch.arange(len(volume.grid.blocks))).view(-1, 3)
 
 
@@ -29,7 +29,7 @@ def plane(depth_m: float) -> torch.Tensor:
     return torch.full((60, 80), depth_m)
 
 
-def fused(*readings: tuple[float, float | None]) -> FusionVolume:
+def fused(*readings: tuple[float, float | None]) -> TsdfVolume:
     """Planes at the given depths with the given weights, seen from the origin."""
     volume = make_volume()
     for depth, _ in readings:
@@ -70,7 +70,7 @@ def test_weighted_mean_spread_count_and_sigma():
     torch.testing.assert_close(volume.sdf()[both], 2.025 - z[both], atol=1e-5, rtol=0)
     spread = 0.1 * (0.75 * 0.25) ** 0.5
     torch.testing.assert_close(volume.samples().spread[both], torch.full_like(z[both], spread), atol=1e-4, rtol=0)
-    sigma = spread * (SHARED_ERROR + (1 - SHARED_ERROR) / 2) ** 0.5
+    sigma = spread * (ERROR_CORRELATION + (1 - ERROR_CORRELATION) / 2) ** 0.5
     torch.testing.assert_close(volume.samples().sigma[both], torch.full_like(z[both], sigma), atol=1e-4, rtol=0)
     assert volume.samples().sigma.min() >= MIN_SIGMA_M * 0.999
 
@@ -79,8 +79,8 @@ def test_stated_sigma_is_that_of_independent_readings_and_what_they_share():
     volume = fused((2.0, 3.0), (2.1, 1.0))
     z = positions(volume)[:, 2]
     both = (volume.counts() == 2) & ((z - 2.05).abs() < 0.04)
-    sigma = (2 * 0.02**2 / 4.0 + SHARED_ERROR * 0.1**2 * 0.75 * 0.25) ** 0.5
-    found = volume.samples().stated_sigma(0.02)
+    sigma = (2 * 0.02**2 / 4.0 + ERROR_CORRELATION * 0.1**2 * 0.75 * 0.25) ** 0.5
+    found = volume.samples().propagated_sigma(0.02)
     torch.testing.assert_close(found[both], torch.full_like(z[both], sigma), atol=1e-4, rtol=0)
     assert (found[volume.counts() == 0] == MAX_SIGMA_M).all()
     assert (volume.counts() == 0).any()
@@ -92,7 +92,7 @@ def test_readings_that_agree_leave_what_they_are_said_to_err():
     near = (volume.counts() == 8) & ((positions(volume)[:, 2] - 2.0).abs() < 0.04)
     assert near.any()
     expected = torch.full((int(near.sum()),), 0.02)
-    torch.testing.assert_close(volume.samples().stated_sigma(0.01)[near], expected, atol=1e-4, rtol=0)
+    torch.testing.assert_close(volume.samples().propagated_sigma(0.01)[near], expected, atol=1e-4, rtol=0)
     assert (volume.samples().sigma[near] < 0.002).all()
 
 
@@ -180,7 +180,7 @@ def test_growth_and_reset_keep_sums_in_their_rows():
 
 
 def test_every_reading_gets_blocks(box_room):
-    volume = FusionVolume(SparseGrid(0.02), box_room.camera, 0.08, 6.0)
+    volume = TsdfVolume(SparseGrid(0.02), box_room.camera, 0.08, 6.0)
     pose = box_room.pose(0.4)
     depth = box_room.depth(pose)
     volume.allocate(torch.from_numpy(depth).float(), torch.from_numpy(pose).float())
@@ -254,16 +254,16 @@ def positions_of(grid: SparseGrid) -> torch.Tensor:
     return grid.block_positions(torch.arange(len(grid.blocks))).view(-1, 3)
 
 
-def integrated(volume: FusionVolume, room, index: int, take_out_of: int | None = None) -> None:
+def integrated(volume: TsdfVolume, room, index: int, deintegrate_block_count: int | None = None) -> None:
     """The image of the room along angle 0.3 `index`, with weights, doubts and colours that tell it from others."""
     pose = room.pose(0.3 * index)
     depth, generator = torch.from_numpy(room.depth(pose)).float(), torch.Generator().manual_seed(index)
     weight = 0.5 + torch.rand(depth.shape, generator=generator)
     color = torch.randint(0, 255, (*depth.shape, 3), generator=generator, dtype=torch.uint8)
-    if take_out_of is None:
+    if deintegrate_block_count is None:
         volume.allocate(depth, torch.from_numpy(pose).float())
     free_space = FreeSpace.of(weight, 1.0, 0.1 * weight)
-    volume.integrate(depth, weight, color, torch.from_numpy(pose).float(), free_space, take_out_of)
+    volume.integrate(depth, weight, color, torch.from_numpy(pose).float(), free_space, deintegrate_block_count)
 
 
 def test_what_is_taken_out_was_never_there(box_room):

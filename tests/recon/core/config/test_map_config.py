@@ -16,16 +16,16 @@ def test_defaults_are_the_uncle_preset():
 
 def test_baseline_neither_learns_nor_refines():
     config = make_config("tsdf", [])
-    assert (config.method, config.fusion.sweeps, config.field.iterations) == ("tsdf", 0, 0)
+    assert (config.method, config.fusion.passes, config.field.iterations) == ("tsdf", 0, 0)
     assert not config.uncertainty.enabled
     assert config.fusion.voxel_size_m == MapConfig().fusion.voxel_size_m
 
 
 def test_override_wins_over_top_level_and_preset():
-    config = make_config("tsdf", ["fusion.sweeps=2", "seed=7", "fusion.sweeps = 3"], seed=5, sensors=("a", "b"))
-    assert (config.fusion.sweeps, config.seed, config.sensors) == (3, 7, ("a", "b"))
+    config = make_config("tsdf", ["fusion.passes=2", "seed=7", "fusion.passes = 3"], seed=5, sensors=("a", "b"))
+    assert (config.fusion.passes, config.seed, config.sensors) == (3, 7, ("a", "b"))
     assert not config.uncertainty.enabled  # the rest of the preset stays
-    assert PRESETS["tsdf"]["fusion"] == {"sweeps": 0}  # and the preset itself
+    assert PRESETS["tsdf"]["fusion"] == {"passes": 0}  # and the preset itself
 
 
 @pytest.mark.parametrize(
@@ -44,7 +44,7 @@ def test_override_wins_over_top_level_and_preset():
         ("fusion.max_depth_m=inf", "fusion.max_depth_m"),
         ("fusion.max_depth_m=1e9", "fusion.max_depth_m"),
         ("uncertainty.beta_min_m=inf", "uncertainty.beta_min_m"),
-        ("fusion.sweeps=1.5", "valid integer"),
+        ("fusion.passes=1.5", "valid integer"),
         ("field.levels=[0]", "field.levels"),
         ("field.levels=[-4]", "field.levels"),
         ("device=tpu", "'auto', 'cpu' or 'cuda'"),

@@ -7,16 +7,7 @@ import pytest
 from uncle.recon.core.config.presets import PRESETS
 from uncle.recon.core.errors import ConfigError
 from uncle.recon.evaluation.bench import methods
-from uncle.recon.evaluation.bench.plan import (
-    Choice,
-    Job,
-    Scene,
-    is_done,
-    plan,
-    scene_name,
-    synth_arguments,
-    with_timing,
-)
+from uncle.recon.evaluation.bench.plan import Choice, Job, Scene, is_done, plan, scene_name, synth_arguments, with_timing
 from uncle.recon.evaluation.bench.variants import variants_of_methods
 
 ROOM = Scene("room", Path("room"), "senfunet", ("sl", "sgm", "psmnet"), True, True, 130, "abc")
@@ -91,9 +82,9 @@ def test_results_of_other_settings_or_frames_have_other_keys():
 
 
 def test_settings_of_one_method_leave_the_others_alone():
-    choice = replace(BOTH, overrides=("field.rays=64", "uncle:field.levels=[2,4]", "tsdf:fusion.min_readings=1"))
+    choice = replace(BOTH, overrides=("field.rays=64", "uncle:field.levels=[2,4]", "tsdf:fusion.min_observations=1"))
     assert choice.overrides_of("uncle") == ("field.rays=64", "field.levels=[2,4]")
-    assert choice.overrides_of("tsdf") == ("field.rays=64", "fusion.min_readings=1")
+    assert choice.overrides_of("tsdf") == ("field.rays=64", "fusion.min_observations=1")
     assert replace(BOTH, overrides=("field.name=a:b",)).overrides_of("uncle") == ("field.name=a:b",)
     assert replace(BOTH, overrides=("magic:a=1",)).overrides_of("uncle") == ("magic:a=1",)  # told as unknown later
     fewer = replace(choice, overrides=choice.overrides[:2])

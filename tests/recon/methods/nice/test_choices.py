@@ -14,15 +14,15 @@ CAMERA = Camera(160, 120, 90.0, 90.0, 79.5, 59.5)
 
 @pytest.mark.parametrize(("iterations", "counts"), [(60, (25, 12, 23)), (1500, (601, 300, 599))])
 def test_the_published_schedule(iterations, counts):
-    stages = schedule(iterations, NiceMappingConfig(), faithful=True, color=True)
+    stages = schedule(iterations, NiceMappingConfig(), reproduce_released_code=True, color=True)
     assert tuple(stages.count(stage) for stage in ("middle", "fine", "color")) == counts
     assert stages == sorted(stages, key=["middle", "fine", "color"].index)
 
 
 def test_the_paper_joins_fine_grid_and_colour_after_60_percent():
-    stages = schedule(60, NiceMappingConfig(), faithful=False, color=True)
+    stages = schedule(60, NiceMappingConfig(), reproduce_released_code=False, color=True)
     assert [stages.count(stage) for stage in ("middle", "fine", "color")] == [37, 0, 23]
-    assert schedule(60, NiceMappingConfig(), faithful=False, color=False).count("fine") == 23
+    assert schedule(60, NiceMappingConfig(), reproduce_released_code=False, color=False).count("fine") == 23
 
 
 def test_step_sizes():

@@ -9,9 +9,9 @@ from uncle.recon.core.errors import ConfigError
 from uncle.recon.core.frame import Frame
 from uncle.recon.methods.confidence.models import ConfidenceModels, save_network
 from uncle.recon.methods.confidence.network import ConfidenceNetwork
-from uncle.recon.methods.nice.confidence_weighting import LEAST, Confident
+from uncle.recon.methods.nice.confidence_weighting import LEAST, ConfidenceWeighting
 from uncle.recon.methods.nice.views import Rays
-from uncle.recon.methods.nice.weighting import Uniform
+from uncle.recon.methods.nice.weighting import UniformWeighting
 from uncle.recon.stages.map import map_run
 
 CPU = torch.device("cpu")
@@ -29,8 +29,8 @@ def files(tmp_path) -> list[str]:
 
 
 @pytest.fixture
-def weighting(files) -> Confident:
-    return Confident(NiceConfig(), NiceTrackingConfig(), ConfidenceModels.load("ab", files), CPU)
+def weighting(files) -> ConfidenceWeighting:
+    return ConfidenceWeighting(NiceConfig(), NiceTrackingConfig(), ConfidenceModels.load("ab", files), CPU)
 
 
 def rays_of(depths: torch.Tensor, confidence: torch.Tensor) -> Rays:
@@ -43,12 +43,14 @@ def test_clues_are_the_confidences_of_each_sensor(weighting):
     depths = {"a": torch.rand(24, 32) * 3 + 0.5, "b": torch.rand(24, 32) * 3 + 0.5}
     depths["b"][4:9, 6:8] = 0.0
     frame = Frame(0, 0.0, torch.zeros(24, 32, 3, dtype=torch.uint8), depths, None)
-    clues = weighting.clues(frame, lambda index, sensor: None)
-    assert clues.shape == (2, 1, 24, 32)
-    torch.testing.assert_close(clues[0, 0], weighting.models.image("a", depths["a"]).clamp(min=LEAST))
+    weighting_inputs = weighting.weighting_inputs(frame, lambda index, sensor: None)
+    assert weighting_inputs.shape == (2, 1, 24, 32)
+    torch.testing.assert_close(weighting_inputs[0, 0], weighting.models.image("a", depths["a"]).clamp(min=LEAST))
     read = depths["b"] > 0
-    torch.testing.assert_close(clues[1, 0][read], weighting.models.image("b", depths["b"])[read].clamp(min=LEAST))
-    assert bool((clues[1, 0][~read] == 1).all())
+    torch.testing.assert_close(
+        weighting_inputs[1, 0][read], weighting.models.image("b", depths["b"])[read].clamp(min=LEAST)
+    )
+    assert bool((weighting_inputs[1, 0][~read] == 1).all())
 
 
 def test_mapping_weighs_each_residual_by_its_confidence_in_every_stage(weighting):
@@ -67,7 +69,7 @@ def test_tracking_multiplies_by_it(weighting):
 
 
 def test_full_confidence_is_nice_slam(weighting):
-    plain = Uniform(NiceConfig(), NiceTrackingConfig())
+    plain = UniformWeighting(NiceConfig(), NiceTrackingConfig())
     rays, valid = rays_of(torch.ones(5, 2), torch.ones(5, 2)), torch.ones(5, 2, dtype=torch.bool)
     residuals, spread = torch.rand(5, 2), torch.rand(5)
     assert torch.equal(weighting.spread(spread, rays), plain.spread(spread, rays))

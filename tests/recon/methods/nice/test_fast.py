@@ -15,7 +15,7 @@ from uncle.recon.methods.nice.poses import to_matrix
 from uncle.recon.methods.nice.rays import render
 from uncle.recon.methods.nice.scene import Scene
 from uncle.recon.methods.nice.views import Rays
-from uncle.recon.methods.nice.weighting import Laplace, Uniform
+from uncle.recon.methods.nice.weighting import LaplaceWeighting, UniformWeighting
 from uncle.recon.methods.nice.workers import Workers
 
 CPU = torch.device("cpu")
@@ -60,8 +60,11 @@ def make_rays(count: int = 150) -> Rays:
     directions = torch.cat([x - 0.5, y - 0.5, torch.ones(count, 1)], 1)
     depths = 0.3 + 1.2 * torch.rand(count, 2, generator=generator)
     depths[::7, 0] = 0.0
-    clues, patches = torch.rand(count, 2, 50, generator=generator), torch.rand(count, 75, generator=generator)
-    return Rays(torch.arange(count) % 2, directions, depths, colors, lambda: clues, lambda: patches)
+    weighting_inputs, patches = (
+        torch.rand(count, 2, 50, generator=generator),
+        torch.rand(count, 75, generator=generator),
+    )
+    return Rays(torch.arange(count) % 2, directions, depths, colors, lambda: weighting_inputs, lambda: patches)
 
 
 SEVEN = torch.tensor([[1.0, 0.02, -0.01, 0.03, 0.1, 0.0, -0.5], [0.9, -0.1, 0.2, 0.0, 0.0, 0.2, -0.4]])
@@ -97,7 +100,7 @@ def test_values_are_those_of_the_oracle(stage):
 def test_gradients_of_the_mapping_loss(stage, moves):
     scene = make_scene(0.5)
     rays = make_rays()
-    weighting = Laplace(
+    weighting = LaplaceWeighting(
         scene.config, ("a", "b"), Camera(8, 6, 9.0, 9.0, 4.0, 3.0), torch.Generator().manual_seed(4), CPU
     )
     learned = [scene.grids[name].table for name in STAGES[: STAGES.index(stage) + 1]]
@@ -120,8 +123,8 @@ def test_gradient_of_the_tracking_loss(weighting):
     scene.hold()
     camera = Camera(8, 6, 9.0, 9.0, 4.0, 3.0)
     judge = (
-        Uniform(scene.config, NiceTrackingConfig()) if weighting == "uniform"
-        else Laplace(scene.config, ("a", "b"), camera, torch.Generator().manual_seed(4), CPU)
+        UniformWeighting(scene.config, NiceTrackingConfig()) if weighting == "uniform"
+        else LaplaceWeighting(scene.config, ("a", "b"), camera, torch.Generator().manual_seed(4), CPU)
     )  # fmt: skip
     found = []
     for evaluate in (FastEvaluate(scene), lambda p, s: plain_values(scene, p, s)):

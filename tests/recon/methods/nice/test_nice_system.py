@@ -45,7 +45,7 @@ def test_the_walls_are_found(make_mappable_run, box_room, method):
     assert np.median(off) < 0.05
     assert np.quantile(off, 0.9) < 0.2
     assert run.beta_path("noisy", 0).exists() == (method == "uncle-paper")
-    learned = load_tensors(run.system_path)
+    learned = load_tensors(run.method_state_path)
     assert learned["scene"]["grids"]["fine"]["table"].shape[1] == 32
     assert list(learned["noise"]) == (["gt", "noisy", " color"] if method == "uncle-paper" else [])
     assert list(learned["keyframes"]) == [0, 4]
@@ -102,7 +102,7 @@ def test_a_bound_can_be_set(make_mappable_run):
     run = make_mappable_run(("gt",), ANGLES)
     map_run(run, settings("nice.bound=[-0.2, 4.2, -0.2, 3.2, -0.2, 2.7]", "nice_mapping.first_iterations=2",
                           "nice_mapping.iterations=2", sensors=("gt",)))  # fmt: skip
-    bound = load_tensors(run.system_path)["scene"]["bound"]
+    bound = load_tensors(run.method_state_path)["scene"]["bound"]
     torch.testing.assert_close(bound, torch.tensor([[-0.2, -0.2, -0.2], [4.28, 3.32, 3.0]]))
 
 

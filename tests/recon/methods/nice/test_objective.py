@@ -12,7 +12,7 @@ from uncle.recon.core.se3 import moved
 from uncle.recon.methods.nice.objective import Picture, mapping_loss, tracking_loss
 from uncle.recon.methods.nice.poses import predicted, tidy, to_matrix, to_seven
 from uncle.recon.methods.nice.views import Rays
-from uncle.recon.methods.nice.weighting import Laplace, Uniform
+from uncle.recon.methods.nice.weighting import LaplaceWeighting, UniformWeighting
 
 CAMERA = Camera(8, 6, 10.0, 10.0, 3.5, 2.5)
 CPU = torch.device("cpu")
@@ -22,9 +22,12 @@ def make_rays(depths: torch.Tensor) -> Rays:
     count, sensors = depths.shape
     generator = torch.Generator().manual_seed(1)
     colors = torch.rand(count, 3, generator=generator)
-    clues, patches = torch.rand(count, sensors, 50, generator=generator), torch.rand(count, 75, generator=generator)
+    weighting_inputs, patches = (
+        torch.rand(count, sensors, 50, generator=generator),
+        torch.rand(count, 75, generator=generator),
+    )
     views = torch.zeros(count, dtype=torch.long)
-    return Rays(views, torch.zeros(count, 3), depths, colors, lambda: clues, lambda: patches)
+    return Rays(views, torch.zeros(count, 3), depths, colors, lambda: weighting_inputs, lambda: patches)
 
 
 DEPTHS = torch.tensor([[2.0, 2.5], [1.0, 0.0], [3.0, 3.0], [0.0, 1.5]])
@@ -33,12 +36,12 @@ PICTURE = Picture(torch.tensor([2.1, 1.2, 2.0, 1.0]), torch.tensor([0.1, 0.2, 0.
                   torch.tensor([True, True, False, True]))  # fmt: skip
 
 
-def laplace(**settings) -> Laplace:
-    return Laplace(NiceConfig(**settings), ("a", "b"), CAMERA, torch.Generator().manual_seed(0), CPU)
+def laplace(**settings) -> LaplaceWeighting:
+    return LaplaceWeighting(NiceConfig(**settings), ("a", "b"), CAMERA, torch.Generator().manual_seed(0), CPU)
 
 
-def uniform(**settings) -> Uniform:
-    return Uniform(NiceConfig(**settings), NiceTrackingConfig())
+def uniform(**settings) -> UniformWeighting:
+    return UniformWeighting(NiceConfig(**settings), NiceTrackingConfig())
 
 
 def color_errors() -> np.ndarray:
@@ -53,9 +56,11 @@ def test_unit_weights_sum_what_is_read_inside_the_box():
 
 
 @pytest.mark.parametrize("faithful", [False, True])
-def test_laplace_loss(faithful):
-    weighting = laplace(faithful=faithful)
-    beta = np.stack([1e-3 + net(RAYS.clues[:, k]).detach().numpy() for k, net in enumerate(weighting.depth_nets)], 1)
+def test_laplace_loss(reproduce_released_code):
+    weighting = laplace(reproduce_released_code=reproduce_released_code)
+    beta = np.stack(
+        [1e-3 + net(RAYS.weighting_inputs[:, k]).detach().numpy() for k, net in enumerate(weighting.depth_nets)], 1
+    )
     residuals = np.abs(DEPTHS.numpy() - PICTURE.depth.numpy()[:, None])
     used = [(0, 0), (0, 1), (1, 0), (3, 1)]
     depth = sum(residuals[i] / beta[i] + math.log(beta[i]) for i in used)
@@ -65,7 +70,7 @@ def test_laplace_loss(faithful):
     black = (RAYS.colors.sum(1).numpy() / color_beta + np.log(color_beta))[inside].sum()
     plain = replace(PICTURE, colors=None)
     assert mapping_loss(plain, RAYS, weighting, "middle").item() == pytest.approx(sum(residuals[i] for i in used))
-    fine = depth + (black if faithful else 0.0)  # D11
+    fine = depth + (black if reproduce_released_code else 0.0)  # D11
     assert mapping_loss(plain, RAYS, weighting, "fine").item() == pytest.approx(fine, rel=1e-5)
     assert mapping_loss(PICTURE, RAYS, weighting, "color").item() == pytest.approx(depth + color, rel=1e-5)
     assert list(weighting.nats()) == ["a", "b"]
@@ -75,16 +80,20 @@ def test_tracking_loss_of_the_paper_and_of_the_published_code():
     """D1 to D3: the sum of the sensors' means with beta_min in the scale, or the last sensor's sum without it."""
     residuals = np.abs(DEPTHS.numpy() - PICTURE.depth.numpy()[:, None])
     spread = PICTURE.spread.numpy()
-    for faithful in (False, True):
-        weighting = laplace(faithful=faithful)
-        raw = np.stack([net(RAYS.clues[:, k]).detach().numpy() for k, net in enumerate(weighting.depth_nets)], 1)
+    for reproduce_released_code in (False, True):
+        weighting = laplace(reproduce_released_code=reproduce_released_code)
+        raw = np.stack(
+            [net(RAYS.weighting_inputs[:, k]).detach().numpy() for k, net in enumerate(weighting.depth_nets)], 1
+        )
         color = color_errors() / (1e-3 + weighting.color_net(RAYS.color_patches).detach().numpy())
-        scaled = residuals / (spread[:, None] + raw + (0 if faithful else 1e-3))
-        if faithful:
+        scaled = residuals / (spread[:, None] + raw + (0 if reproduce_released_code else 1e-3))
+        if reproduce_released_code:
             expected = scaled[[0, 3], 1].sum() + color[[0, 3]].sum()
         else:
             expected = scaled[[0, 1], 0].mean() + scaled[[0, 3], 1].mean() + color[[0, 1, 3]].mean()
-        assert tracking_loss(PICTURE, RAYS, weighting, faithful).item() == pytest.approx(expected, rel=1e-4)
+        assert tracking_loss(PICTURE, RAYS, weighting, reproduce_released_code).item() == pytest.approx(
+            expected, rel=1e-4
+        )
 
 
 def test_outliers_and_holes_do_not_pull_the_camera():
@@ -109,7 +118,7 @@ def test_h_w_learns_which_sensor_is_noisy():
         adam.zero_grad()
         loss.backward()
         adam.step()
-    beta = 1e-3 + torch.stack([net(rays.clues[:, k]).mean() for k, net in enumerate(weighting.depth_nets)])
+    beta = 1e-3 + torch.stack([net(rays.weighting_inputs[:, k]).mean() for k, net in enumerate(weighting.depth_nets)])
     torch.testing.assert_close(beta, true, rtol=0.15, atol=0.0)
     expected = (1 + torch.log(2 * true)).tolist()
     assert list(weighting.nats().values()) == pytest.approx(expected, abs=0.1)
@@ -117,10 +126,10 @@ def test_h_w_learns_which_sensor_is_noisy():
 
 def test_beta_images_are_those_of_the_patches():
     weighting = laplace()
-    clues = torch.rand(2, 2, 6, 8) + 0.1
-    clues[1, 0, 2, 3] = 0.0
-    images = weighting.betas(None, clues)
-    patch = clues[0].roll((1, -2), (1, 2))[:, :5, :5].reshape(1, 50)  # around row 1, column 4
+    weighting_inputs = torch.rand(2, 2, 6, 8) + 0.1
+    weighting_inputs[1, 0, 2, 3] = 0.0
+    images = weighting.betas(None, weighting_inputs)
+    patch = weighting_inputs[0].roll((1, -2), (1, 2))[:, :5, :5].reshape(1, 50)  # around row 1, column 4
     expected = 1e-3 + weighting.depth_nets[0](patch)
     assert images["a"][1, 4].item() == pytest.approx(expected.item(), rel=1e-5)
     assert images["b"][2, 3] == 0.0
@@ -128,10 +137,10 @@ def test_beta_images_are_those_of_the_patches():
 
 def test_with_a_patch_of_one_pixel_beta_is_that_of_the_pixel():
     weighting = laplace(noise_patch=1)
-    assert weighting.clue_patch == 1
-    clues = torch.rand(2, 2, 6, 8) + 0.1
-    expected = 1e-3 + weighting.depth_nets[1](clues[1, :, 4, 7][None])
-    assert weighting.betas(None, clues)["b"][4, 7].item() == pytest.approx(expected.item(), rel=1e-5)
+    assert weighting.patch_size == 1
+    weighting_inputs = torch.rand(2, 2, 6, 8) + 0.1
+    expected = 1e-3 + weighting.depth_nets[1](weighting_inputs[1, :, 4, 7][None])
+    assert weighting.betas(None, weighting_inputs)["b"][4, 7].item() == pytest.approx(expected.item(), rel=1e-5)
 
 
 def test_poses_and_their_prediction():

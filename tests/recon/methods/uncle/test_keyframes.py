@@ -6,7 +6,7 @@ import torch
 from uncle.recon.core.config.uncle import KeyframeConfig
 from uncle.recon.core.frame import Frame
 from uncle.recon.methods.uncle.keyframes import KeyframeSelector, mean_depth
-from uncle.recon.methods.uncle.ray_buffer import RayStore
+from uncle.recon.methods.uncle.ray_buffer import RayBuffer
 
 
 @pytest.fixture
@@ -61,8 +61,8 @@ def rays(first: int, count: int) -> dict[str, torch.Tensor]:
     }  # fmt: skip
 
 
-def filled(seed: int, keyframes: int = 30) -> RayStore:
-    store, generator = RayStore(1000), torch.Generator().manual_seed(seed)
+def filled(seed: int, keyframes: int = 30) -> RayBuffer:
+    store, generator = RayBuffer(1000), torch.Generator().manual_seed(seed)
     for index in range(keyframes):
         store.add(rays(index * 100, 100), generator)
     return store
@@ -88,12 +88,12 @@ def test_store_keeps_old_and_new_keyframes():
 def test_store_is_seeded():
     assert torch.equal(filled(1)["depths"], filled(1)["depths"])
     assert not torch.equal(filled(1)["depths"], filled(2)["depths"])
-    assert len(RayStore(10)) == 0
+    assert len(RayBuffer(10)) == 0
 
 
 def test_rays_follow_their_cameras_and_no_others():
     """A quarter turn about z, then a step: worked out by hand."""
-    store, generator = RayStore(1000), torch.Generator().manual_seed(0)
+    store, generator = RayBuffer(1000), torch.Generator().manual_seed(0)
     store.add(rays(0, 4), generator)
     store.add(rays(100, 3), generator)
     before = {name: values.clone() for name, values in store.columns.items()}
@@ -106,6 +106,6 @@ def test_rays_follow_their_cameras_and_no_others():
     torch.testing.assert_close(store["origins"][mine], torch.stack([5 - y, 6 + x, 7 + z], -1))
     x, y, z = before["directions"][mine].unbind(-1)
     torch.testing.assert_close(store["directions"][mine], torch.stack([-y, x, z], -1))
-    for name in RayStore.FIELDS:
+    for name in RayBuffer.FIELDS:
         assert torch.equal(store[name][~mine], before[name][~mine])
     assert torch.equal(store["depths"], before["depths"])

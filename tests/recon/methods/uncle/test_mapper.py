@@ -6,7 +6,7 @@ from uncle.recon.core.camera import Camera
 from uncle.recon.core.config.map_config import make_config
 from uncle.recon.core.frame import Frame
 from uncle.recon.methods.uncle.mapper import Mapper
-from uncle.recon.sensors.fusion_weights import DOUBT_BETAS
+from uncle.recon.sensors.fusion_weights import FREE_SPACE_SCALE_BETAS
 from uncle.recon.sensors.noise_inputs import FEATURES
 from uncle.recon.volume.raycast import cast_rays
 
@@ -16,7 +16,7 @@ NORMALS = torch.tensor([0.0, 0.0, -1.0]).expand(60, 80, 3)
 
 
 def make_mapper(*settings: str, sensors: tuple[str, ...] = ("a",)) -> Mapper:
-    quick = ["fusion.voxel_size_m=0.05", "uncertainty.steps_per_keyframe=2", "uncertainty.steps_per_sweep=5"]
+    quick = ["fusion.voxel_size_m=0.05", "uncertainty.steps_per_keyframe=2", "uncertainty.steps_per_pass=5"]
     config = make_config("uncle", [*quick, "keyframes.rays=500", *settings], sensors=sensors, device="cpu")
     return Mapper(CAMERA, sensors, config, torch.device("cpu"))
 
@@ -72,7 +72,7 @@ def test_residual_is_that_against_a_map_without_the_reading(left_out):
 
 
 def test_a_reading_alone_says_nothing_about_itself():
-    mapper = make_mapper("fusion.min_readings=1")
+    mapper = make_mapper("fusion.min_observations=1")
     frame = make_frame(0, 2.0)
     fuse_all(mapper, [frame])
     rays = mapper._draw_rays(frame, mapper.features(frame, {"a": NORMALS}), torch.eye(4))
@@ -93,7 +93,7 @@ def test_without_uncertainty_every_reading_weighs_the_same():
 
 def test_learns_which_sensor_lies():
     names = ("good", "bad")
-    mapper = make_mapper("uncertainty.steps_per_sweep=300", "uncertainty.learning_rate=0.01", sensors=names)
+    mapper = make_mapper("uncertainty.steps_per_pass=300", "uncertainty.learning_rate=0.01", sensors=names)
     generator = torch.Generator().manual_seed(0)
     for index in range(8):
         frame = make_frame(index, 2.0, 2.0, names=names)
@@ -117,7 +117,7 @@ def test_without_uncertainty_no_features_are_made():
 
 def test_free_space_is_weighted_by_what_the_noise_model_doubts():
     """Every beta is the same on a blank wall: free space gets the reading's weight times 1 - exp(-beyond / 2 beta)."""
-    mapper = make_mapper("fusion.blur_voxels=0")
+    mapper = make_mapper("fusion.discretisation_voxels=0")
     frame = make_frame(0, 2.0)
     mapper.volume.allocate(torch.full((60, 80), 1.0), torch.eye(4))  # blocks far before the wall
     mapper.noise["a"].layers[-1].weight.data.zero_()
@@ -129,7 +129,7 @@ def test_free_space_is_weighted_by_what_the_noise_model_doubts():
     full = float(mapper.weights.of(torch.tensor(beta), "a"))
     free = seen & (beyond > 0.01)
     assert free.sum() > 1000
-    expected = full * (1 - torch.exp(-beyond[free] / (DOUBT_BETAS * beta)))
+    expected = full * (1 - torch.exp(-beyond[free] / (FREE_SPACE_SCALE_BETAS * beta)))
     torch.testing.assert_close(volume.sums[free, 0], expected, rtol=1e-3, atol=1e-6)
     band = seen & (beyond < -0.01)
     torch.testing.assert_close(volume.sums[band, 0], torch.full_like(z[band], full), rtol=1e-4, atol=0)
@@ -185,24 +185,24 @@ def test_share_of_a_sensor_is_its_part_of_the_weights_around_the_surface():
         only = {other: depth if other == name else depth * 0 for other, depth in frame.depths.items()}
         mapper.volume.allocate(frame.depths[name], torch.eye(4))
         mapper.fuse(Frame(0, 0, frame.color, only, torch.eye(4).numpy()), features, torch.eye(4))
-        assert mapper.sensor_share()[name] == pytest.approx(1.0)
+        assert mapper.weight_share()[name] == pytest.approx(1.0)
         near = (mapper.volume.sdf().abs() < mapper.volume.truncation_m - 1e-6) & (mapper.volume.counts() > 0)
         alone[name] = float(mapper.volume.sums[near, 0].sum())
     both.fuse(frame, features, torch.eye(4))
-    share = both.sensor_share()
+    share = both.weight_share()
     assert sum(share.values()) == pytest.approx(1.0)
     assert share["a"] == pytest.approx(alone["a"] / sum(alone.values()), rel=0.03)
     assert 0.15 < share["a"] < 0.85
     again = make_mapper("fusion.voxel_size_m=0.03", sensors=names)
     again.load_state_dict(both.state_dict())
-    assert again.sensor_share() == share
-    again.forget_readings()
-    assert again.sensor_share() == {"a": 0.0, "b": 0.0}
+    assert again.weight_share() == share
+    again.clear_volume()
+    assert again.weight_share() == {"a": 0.0, "b": 0.0}
     assert not again.volume.sums.any()
 
 
 def test_share_of_a_frame_that_is_fused_again_counts_once():
-    mapper = make_mapper("tracking.enabled=true", "fusion.blur_voxels=0")
+    mapper = make_mapper("tracking.enabled=true", "fusion.discretisation_voxels=0")
     frame, moved = make_frame(0, 2.0), torch.eye(4)
     moved[0, 3] = 0.2
     explore(mapper, frame)
@@ -230,7 +230,7 @@ def test_a_sensor_counts_in_the_map_by_what_its_readings_are_worth():
 def test_readings_are_worth_1_until_colour_is_known_to_be_exact():
     mapper = make_mapper()
     mapper.weights.worth["a"] = 0.2
-    mapper.weigh_sensors()
+    mapper.estimate_reliability()
     assert mapper.weights.worth == {"a": 1.0}
 
 

@@ -7,7 +7,7 @@ import torch
 from uncle.recon.core.config.map_config import make_config
 from uncle.recon.methods.uncle import pipeline
 from uncle.recon.methods.uncle.pipeline import reconstruct
-from uncle.recon.methods.uncle.progress import Progression
+from uncle.recon.methods.uncle.progress import RunProgress
 from uncle.recon.run.checkpoint import Checkpoint
 from uncle.recon.run.frames import RunFrames
 
@@ -15,7 +15,7 @@ from uncle.recon.run.frames import RunFrames
 def test_every_sweep_counts_every_reading_once(make_mappable_run, tmp_path):
     """The last sweep replaces the ones before: no sample has more readings than there are frames and sensors."""
     run = make_mappable_run(("noisy",))
-    overrides = ["fusion.voxel_size_m=0.1", "fusion.sweeps=2", "field.iterations=0", "uncertainty.steps_per_sweep=2"]
+    overrides = ["fusion.voxel_size_m=0.1", "fusion.passes=2", "field.iterations=0", "uncertainty.steps_per_pass=2"]
     config = make_config("uncle", overrides, sensors=("noisy",), device="cpu")
     betas: dict[int, torch.Tensor] = {}
     made = reconstruct(
@@ -26,7 +26,7 @@ def test_every_sweep_counts_every_reading_once(make_mappable_run, tmp_path):
     assert counts.max() <= 6
     assert counts.max() >= 3
     assert sorted(betas) == sorted(made.poses) == list(range(0, 12, 2))
-    assert {"sweep 1", "sweep 2", "sweep 3", "learning"} <= set(made.seconds)
+    assert {"pass_1", "pass_2", "pass_3", "learning"} <= set(made.seconds)
 
 
 @pytest.mark.parametrize(("off_px", "asked"), [(0.0, True), (1.0, True), (3.0, False)])
@@ -35,6 +35,6 @@ def test_colour_that_lies_beside_its_depth_is_no_witness(off_px, asked):
     witness = SimpleNamespace(look=lambda *_: looked.append(1))
     mapper = SimpleNamespace(config=make_config("uncle", []), witness=witness, surface=lambda: None)
     frames = SimpleNamespace(registration_sigma_px=off_px, stream=lambda indices, prepare: iter(()))
-    pipeline._hear_colors(frames, mapper, Progression(last=1), events.append)
+    pipeline._hear_colors(frames, mapper, RunProgress(last=1), events.append)
     assert bool(looked) == asked
     assert any("3 px beside its depth" in event.text for event in events) != asked

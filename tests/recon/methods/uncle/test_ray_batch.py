@@ -4,16 +4,16 @@ from types import SimpleNamespace
 
 import torch
 from uncle.recon.core.config.uncle import UncertaintyConfig
-from uncle.recon.methods.uncle.ray_batch import RayReadings
-from uncle.recon.methods.uncle.ray_buffer import RayStore
+from uncle.recon.methods.uncle.ray_batch import RayBatch
+from uncle.recon.methods.uncle.ray_buffer import RayBuffer
 from uncle.recon.sensors.noise_inputs import FEATURES
 from uncle.recon.sensors.noise_model import START_BETA_M, NoiseModel
 
 CPU = torch.device("cpu")
 
 
-def stored(features: int) -> RayStore:
-    generator, rays = torch.Generator().manual_seed(0), RayStore(100)
+def stored(features: int) -> RayBuffer:
+    generator, rays = torch.Generator().manual_seed(0), RayBuffer(100)
     rays.add(
         {
             "frames": torch.zeros(6, dtype=torch.int64), "origins": torch.randn(6, 3, generator=generator),
@@ -35,7 +35,7 @@ def models() -> dict[str, NoiseModel]:
 
 def test_sensors_state_their_noise_and_what_they_are_worth():
     rays, noise = stored(len(FEATURES)), models()
-    readings = RayReadings.of_sensors(rays, noise, {"b": 0.25, "a": 1.5})
+    readings = RayBatch.of_sensors(rays, noise, {"b": 0.25, "a": 1.5})
     assert len(readings) == 6
     assert readings.worth.tolist() == [1.5, 0.25]
     assert torch.equal(readings.betas > 0, rays["depths"] > 0)
@@ -46,12 +46,12 @@ def test_sensors_state_their_noise_and_what_they_are_worth():
 
 
 def test_without_uncertainty_all_are_alike():
-    readings = RayReadings.of_sensors(stored(0), models(), {"a": 1.0, "b": 1.0})
+    readings = RayBatch.of_sensors(stored(0), models(), {"a": 1.0, "b": 1.0})
     assert (readings.betas == START_BETA_M).all()
 
 
 def test_some_of_them():
-    readings = RayReadings.of_sensors(stored(len(FEATURES)), models(), {"a": 1.0, "b": 1.0})
+    readings = RayBatch.of_sensors(stored(len(FEATURES)), models(), {"a": 1.0, "b": 1.0})
     some = readings.at(torch.tensor([4, 1]))
     assert torch.equal(some.depths, readings.depths[[4, 1]])
     assert torch.equal(some.colors, readings.colors[[4, 1]])
@@ -62,7 +62,7 @@ def test_colour_reads_from_where_its_views_were_taken():
     told = {"directions": torch.randn(3, 3), "color": torch.tensor([1.0, 2.0, 3.0])}
     told |= {"beta": torch.tensor([0.1, 0.2, 0.3]).half()}
     origins = torch.randn(3, 3)
-    readings = RayReadings.of_color(SimpleNamespace(testimony=told, origins=lambda: origins), CPU)
+    readings = RayBatch.of_color(SimpleNamespace(samples=told, origins=lambda: origins), CPU)
     assert readings.depths.shape == readings.betas.shape == (3, 1)
     assert torch.equal(readings.origins, origins)
     assert torch.equal(readings.directions, told["directions"])

@@ -8,43 +8,43 @@ from uncle.recon.core.camera import Camera
 from uncle.recon.core.config.uncle import FieldConfig
 from uncle.recon.core.events import Progress
 from uncle.recon.methods.uncle import refinement as refinement
-from uncle.recon.methods.uncle.ray_batch import RayReadings
+from uncle.recon.methods.uncle.ray_batch import RayBatch
 from uncle.recon.methods.uncle.refinement import refine, render_rays, surface_depths
 from uncle.recon.volume.neural_field import NeuralField
 from uncle.recon.volume.sparse_grid import SparseGrid
-from uncle.recon.volume.tsdf_volume import FusionVolume
+from uncle.recon.volume.tsdf_volume import TsdfVolume
 
 CAMERA = Camera(80, 60, 60.0, 60.0, 39.5, 29.5)
 VOXEL, SHIFT, FAR, STEP, BETA = 0.02, 0.01, 3.0, 0.06, 0.05
 
 
 @pytest.fixture
-def scene() -> tuple[NeuralField, RayReadings, torch.Tensor]:
+def scene() -> tuple[NeuralField, RayBatch, torch.Tensor]:
     """A slanted plane fused 1 cm too far away, exact rays to it, and their true depths."""
     return make_scene(FieldConfig(iterations=150, rays=512, learning_rate_sdf_m=1e-3, learning_rate=2e-3))
 
 
-def make_scene(config: FieldConfig) -> tuple[NeuralField, RayReadings, torch.Tensor]:
+def make_scene(config: FieldConfig) -> tuple[NeuralField, RayBatch, torch.Tensor]:
     true = 1.0 / (1.0 - 0.3 * CAMERA.rays()[..., 0] + 0.1 * CAMERA.rays()[..., 1])
-    volume = FusionVolume(SparseGrid(VOXEL), CAMERA, 4 * VOXEL, 2.5)
+    volume = TsdfVolume(SparseGrid(VOXEL), CAMERA, 4 * VOXEL, 2.5)
     color = torch.tensor([51, 102, 204], dtype=torch.uint8).expand(60, 80, 3)
     volume.allocate(true + SHIFT, torch.eye(4))
     for _ in range(3):
         volume.integrate(true + SHIFT, None, color, torch.eye(4))
     field = NeuralField.from_fusion(volume, 3, config, torch.Generator().manual_seed(0))
     depths = true.reshape(-1, 1)
-    rays = RayReadings(
+    rays = RayBatch(
         torch.zeros(4800, 3), CAMERA.rays().view(-1, 3), depths, torch.full_like(depths, BETA), torch.ones(1),
         color.reshape(-1, 3),
     )  # fmt: skip
     return field, rays, true.view(-1)
 
 
-def run(field: NeuralField, *rays: RayReadings, on_event=lambda event: None) -> list[float]:
+def run(field: NeuralField, *rays: RayBatch, on_event=lambda event: None) -> list[float]:
     return refine(field, rays, field.config, FAR, STEP, torch.Generator().manual_seed(0), on_event)
 
 
-def met(field: NeuralField, rays: RayReadings) -> torch.Tensor:
+def met(field: NeuralField, rays: RayBatch) -> torch.Tensor:
     """(N,) depths at which the rays meet the field."""
     return surface_depths(field, field.sdf_table(), rays, FAR, STEP)
 

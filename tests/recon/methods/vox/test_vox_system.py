@@ -42,7 +42,7 @@ def test_the_walls_are_where_they_are(room, box_room):
     assert (error < 0.02).mean() > 0.97
     colors = np.median(mesh.colors, axis=0)
     assert np.abs(colors - [200, 120, 60]).max() < 25
-    learned = torch.load(room.system_path, weights_only=True)
+    learned = torch.load(room.method_state_path, weights_only=True)
     assert learned["embeddings"].shape == (len(learned["corners"]), 16)
     assert len(learned["losses"]) == 12
     assert learned["losses"][-1] < learned["losses"][0] / 2
