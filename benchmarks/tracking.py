@@ -15,7 +15,15 @@ from typing import NamedTuple
 from common import carry_out
 from uncle.recon.core.errors import DataError, RunError, UncleError
 from uncle.recon.core.trajectory import Trajectory
-from uncle.recon.evaluation.bench.process import LAUNCHER, Record, map_facts, new_run, run_process, sensor_options, uncle
+from uncle.recon.evaluation.bench.process import (
+    LAUNCHER,
+    Record,
+    map_facts,
+    new_run,
+    run_process,
+    sensor_options,
+    uncle,
+)
 from uncle.recon.evaluation.bench.scores import surface_scores
 from uncle.recon.evaluation.bench.tables import cell, markdown_table, ratio
 from uncle.recon.evaluation.trajectory_metrics import evaluate_trajectory

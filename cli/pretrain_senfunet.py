@@ -8,7 +8,15 @@ from pathlib import Path
 import click
 
 from .console import listener
-from .options import SensorsCommand, data_option, device_option, max_minutes_option, prepare_option, seed_option, sensors_option
+from .options import (
+    SensorsCommand,
+    data_option,
+    device_option,
+    max_minutes_option,
+    prepare_option,
+    seed_option,
+    sensors_option,
+)
 from .training_data import open_sources
 
 

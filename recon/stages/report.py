@@ -20,7 +20,14 @@ from ..run.manifest import Manifest
 from ..visualization.mesh_pictures import draw_mesh, load_reference, load_run_mesh, snapshot_views
 from ..visualization.metrics_table import grouped, metric_rows
 from ..visualization.report_camera import camera_section
-from ..visualization.report_charts import calibration_chart, curves_chart, noise_chart, reliability_chart, reliability_curves, vertex_sigma_chart
+from ..visualization.report_charts import (
+    calibration_chart,
+    curves_chart,
+    noise_chart,
+    reliability_chart,
+    reliability_curves,
+    vertex_sigma_chart,
+)
 from ..visualization.sensor_pictures import draw_sensors
 from ..visualization.uncertainty_table import summary_table
 

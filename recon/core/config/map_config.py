@@ -14,7 +14,15 @@ from .confidence import ConfidenceConfig
 from .nice import NiceConfig, NiceMappingConfig, NiceTrackingConfig
 from .presets import PRESETS
 from .senfunet import SenfunetConfig
-from .uncle import FaultDetectionConfig, FieldConfig, FusionConfig, KeyframeConfig, PhotometricConfig, TrackingConfig, UncertaintyConfig
+from .uncle import (
+    FaultDetectionConfig,
+    FieldConfig,
+    FusionConfig,
+    KeyframeConfig,
+    PhotometricConfig,
+    TrackingConfig,
+    UncertaintyConfig,
+)
 from .vox import VoxConfig
 
 

@@ -5,7 +5,15 @@ import pytest
 from uncle.recon.core.errors import DataError
 from uncle.recon.core.mesh import Mesh
 from uncle.recon.core.mesh_raycaster import Surface, sample_surface
-from uncle.recon.evaluation.depth_metrics import PAPER_CAMERA, ViewSettings, centre_box, held_out_depth, look_at, novel_view_depth, sample_views
+from uncle.recon.evaluation.depth_metrics import (
+    PAPER_CAMERA,
+    ViewSettings,
+    centre_box,
+    held_out_depth,
+    look_at,
+    novel_view_depth,
+    sample_views,
+)
 from uncle.recon.evaluation.mesh_metrics import near_to
 
 VIEWS = ViewSettings(views=20)

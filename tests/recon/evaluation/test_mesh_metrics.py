@@ -7,7 +7,15 @@ import pytest
 from uncle.recon.core.errors import DataError
 from uncle.recon.core.mesh import Mesh
 from uncle.recon.core.mesh_raycaster import Surface, sample_surface
-from uncle.recon.evaluation.mesh_metrics import align_by_icp, color_by_distance, evaluate_mesh, moved, nearest_distance, score_at, standard_distances
+from uncle.recon.evaluation.mesh_metrics import (
+    align_by_icp,
+    color_by_distance,
+    evaluate_mesh,
+    moved,
+    nearest_distance,
+    score_at,
+    standard_distances,
+)
 
 EMPTY = Mesh(np.zeros((0, 3), dtype="float32"), np.zeros((0, 3), dtype="int32"))
 

@@ -4,7 +4,14 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 from uncle.recon.core.trajectory import Trajectory
-from uncle.recon.evaluation.tracking_metrics import describe_lost, evaluate_tracking, normalised_errors, pose_covariances, rows_at, stated_sigmas
+from uncle.recon.evaluation.tracking_metrics import (
+    describe_lost,
+    evaluate_tracking,
+    normalised_errors,
+    pose_covariances,
+    rows_at,
+    stated_sigmas,
+)
 from uncle.recon.evaluation.trajectory_metrics import MatchedPoses
 from uncle.recon.run.tracking_record import TrackedFrame, TrackingRecord
 

@@ -5,7 +5,15 @@ import pytest
 from scipy.spatial.transform import Rotation
 from uncle.recon.core.errors import DataError
 from uncle.recon.core.trajectory import Trajectory
-from uncle.recon.evaluation.trajectory_metrics import MatchedPoses, associate, evaluate_trajectory, has_clock, pairs_after, relative_errors, rigid_alignment
+from uncle.recon.evaluation.trajectory_metrics import (
+    MatchedPoses,
+    associate,
+    evaluate_trajectory,
+    has_clock,
+    pairs_after,
+    relative_errors,
+    rigid_alignment,
+)
 
 
 def walk(count: int = 60, seed: int = 0, noise: float = 0.0) -> Trajectory:

@@ -20,7 +20,7 @@ from uncle.recon.mvs.sensor_reliability import DEFAULT_RELIABILITY
 from uncle.recon.run.checkpoint import Checkpoint
 from uncle.recon.run.frames import RunFrames
 
-STEPS = UncertaintyConfig(steps_per_sweep=150, learning_rate=0.01)
+STEPS = UncertaintyConfig(steps_per_pass=150, learning_rate=0.01)
 VOXEL_M = 0.05
 QUICK = [
     "fusion.voxel_size_m=0.05", "fusion.min_observations=2", "keyframes.rays=500", "field.iterations=0",

@@ -149,7 +149,7 @@ def test_statements_are_offsets_from_the_map_by_view():
     }
     points = torch.arange(12.0).view(4, 3)
     witness = SimpleNamespace(samples=told, points=lambda: points)
-    weights = FusionWeights(FusionConfig(voxel_size_m=0.02, blur_voxels=0), ("a", "b"))
+    weights = FusionWeights(FusionConfig(voxel_size_m=0.02, discretisation_voxels=0), ("a", "b"))
     said = statements(witness, {"a": Known(), "b": Known()}, {"a": Known(), "b": Unbiased()}, weights, 0.1)
     nan = np.nan
     offsets = [[0.01, -0.02, 0.005], [nan, 0.0, -0.01], [0.02, nan, 0.0]]

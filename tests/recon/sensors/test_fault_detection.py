@@ -6,7 +6,15 @@ import torch
 from uncle.recon.core.camera import Camera
 from uncle.recon.core.config.uncle import FaultDetectionConfig
 from uncle.recon.core.frame import Frame
-from uncle.recon.sensors.fault_detection import MIN_HISTORY, Comparison, FaultDetector, compare_depths, image_motion, is_unusual, repeats
+from uncle.recon.sensors.fault_detection import (
+    MIN_HISTORY,
+    Comparison,
+    FaultDetector,
+    compare_depths,
+    image_motion,
+    is_unusual,
+    repeats,
+)
 
 CAMERA = Camera(160, 120, 100.0, 100.0, 79.5, 59.5)
 FAR_M = 6.0

@@ -2,14 +2,20 @@
 
 import torch
 from uncle.recon.core.config.uncle import FusionConfig
-from uncle.recon.sensors.fusion_weights import FREE_SPACE_SCALE_BETAS, MIN_RELATIVE_WEIGHT, PHOTOMETRIC_FREE_SPACE_FACTOR, FusionWeights, median_weight
+from uncle.recon.sensors.fusion_weights import (
+    FREE_SPACE_SCALE_BETAS,
+    MIN_RELATIVE_WEIGHT,
+    PHOTOMETRIC_FREE_SPACE_FACTOR,
+    FusionWeights,
+    median_weight,
+)
 
 VALID = torch.tensor([[True, True, True, False]])
 BETA = torch.tensor([[1.0, 0.1, 0.05, 0.01]])  # the sharpest is no reading
 
 
 def weights_of(blur_voxels: float = 0.0) -> FusionWeights:
-    return FusionWeights(FusionConfig(voxel_size_m=0.05, blur_voxels=blur_voxels), ("a", "b"))
+    return FusionWeights(FusionConfig(voxel_size_m=0.05, discretisation_voxels=blur_voxels), ("a", "b"))
 
 
 def test_weight_falls_with_the_square_of_beta():

@@ -112,7 +112,7 @@ def test_models_of_another_shape_are_refused(file, tmp_path, monkeypatch):
     with pytest.raises(ConfigError, match=r"sensor sl.*16 wide, here 24; add --set uncertainty\.hidden=16"):
         prior.require_fit(["sl"], UncertaintyConfig(hidden=24))
     with pytest.raises(ConfigError, match=r"other inputs; add --set 'uncertainty\.features=\[\"depth"):
-        prior.require_fit(["sl"], UncertaintyConfig(features=("depth",)))
+        prior.require_fit(["sl"], UncertaintyConfig(inputs=("depth",)))
     prior.sensors["sl"]["weights"]["layers.0.bias"] = torch.zeros(3)
     with pytest.raises(ConfigError, match="another shape"):
         prior.require_fit(["sl"], UncertaintyConfig())

@@ -13,7 +13,12 @@ from uncle.recon.run.directory import RunDirectory
 from uncle.recon.run.frames import RunFrames, encode_normals
 from uncle.recon.stages.report import write_report
 from uncle.recon.visualization.metrics_table import metric_rows
-from uncle.recon.visualization.report_charts import calibration_chart, reliability_chart, reliability_curves, vertex_sigma_chart
+from uncle.recon.visualization.report_charts import (
+    calibration_chart,
+    reliability_chart,
+    reliability_curves,
+    vertex_sigma_chart,
+)
 
 SECTIONS = ("Overview", "Mesh", "Camera", "Metrics", "Sensors", "Curves", "Time and memory", "Configuration")
 NASTY = '<script>alert(\'$x_1$ & "co")</script>'

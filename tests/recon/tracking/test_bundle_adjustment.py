@@ -6,7 +6,17 @@ import numpy as np
 import pytest
 from scipy.optimize import least_squares
 from uncle.recon.core.se3 import angle, inverse, moved
-from uncle.recon.tracking.bundle_adjustment import DEPTH_SCALE, PIXEL_SCALE, Observations, adjust, covariances, depth_information_factor, residuals, robust_weights, without_outliers
+from uncle.recon.tracking.bundle_adjustment import (
+    DEPTH_SCALE,
+    PIXEL_SCALE,
+    Observations,
+    adjust,
+    covariances,
+    depth_information_factor,
+    residuals,
+    robust_weights,
+    without_outliers,
+)
 from uncle.recon.tracking.landmarks import pixel_information_factor
 from uncle.recon.tracking.pose_graph_edges import PoseEdges
 

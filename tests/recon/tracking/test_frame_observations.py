@@ -10,7 +10,15 @@ from uncle.recon.core.config.uncle import TrackingConfig, UncertaintyConfig
 from uncle.recon.core.frame import Frame
 from uncle.recon.sensors.noise_inputs import FEATURES
 from uncle.recon.sensors.noise_model import NoiseModel, Residuals
-from uncle.recon.tracking.frame_observations import DEFAULT_BETA, EDGE_SHARE, observe_features, prepare, sample_depth_points, surface_view, weigh
+from uncle.recon.tracking.frame_observations import (
+    DEFAULT_BETA,
+    EDGE_SHARE,
+    observe_features,
+    prepare,
+    sample_depth_points,
+    surface_view,
+    weigh,
+)
 from uncle.recon.tracking.local_features import LocalFeatures, no_features
 
 CAMERA = Camera(160, 120, 120.0, 120.0, 79.5, 59.5)
@@ -119,7 +127,7 @@ def test_readings_are_of_all_sensors_within_reach():
     near, far = image(2.0), image(9.0)
     near[:60] = 0.0
     made = frame(near=near, far=far)
-    config = TrackingConfig(readings=300)
+    config = TrackingConfig(depth_samples=300)
     found = sample_depth_points(made, seen(made), [taught(0.02), None], CAMERA, config, 6.0)
     assert 100 < len(found) < 200  # half of about 300, and none of the far ones
     assert (found.points[:, 2] == 2.0).all()

@@ -6,7 +6,15 @@ import numpy as np
 import pytest
 import torch
 from uncle.recon.core.se3 import angle, inverse, motion_between, moved, transform
-from uncle.recon.tracking.frame_to_model import COLOR_SIGMA, LEAST_SCALE, Readings, agreement, scaled, surface_residuals, surface_term
+from uncle.recon.tracking.frame_to_model import (
+    COLOR_SIGMA,
+    LEAST_SCALE,
+    Readings,
+    agreement,
+    scaled,
+    surface_residuals,
+    surface_term,
+)
 from uncle.recon.tracking.pose_estimation import minimise
 from uncle.recon.tracking.tsdf_lookup import query_numba, query_torch
 from uncle.recon.volume.sparse_grid import SparseGrid

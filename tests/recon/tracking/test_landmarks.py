@@ -3,7 +3,14 @@
 from dataclasses import replace
 
 import numpy as np
-from uncle.recon.tracking.landmarks import NONE, FrameFeatures, Landmarks, observations_of, pixel_information_factor, seen_at_least
+from uncle.recon.tracking.landmarks import (
+    NONE,
+    FrameFeatures,
+    Landmarks,
+    observations_of,
+    pixel_information_factor,
+    seen_at_least,
+)
 
 
 def frame_features(index: int, *landmarks: int) -> FrameFeatures:

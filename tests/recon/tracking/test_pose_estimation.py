@@ -3,7 +3,14 @@
 import numpy as np
 import pytest
 from uncle.recon.core.se3 import angle, inverse, motion_between, moved
-from uncle.recon.tracking.pose_estimation import MIN_INLIERS, Linearised, feature_term, minimise, prior_term, ransac_pose
+from uncle.recon.tracking.pose_estimation import (
+    MIN_INLIERS,
+    Linearised,
+    feature_term,
+    minimise,
+    prior_term,
+    ransac_pose,
+)
 
 OFF = np.array([0.1, -0.05, 0.08, 0.03, 0.05, -0.04])
 

@@ -10,7 +10,13 @@ from uncle.recon.core.mesh import Mesh
 from uncle.recon.run.directory import RunDirectory
 from uncle.recon.visualization import mesh_pictures as snapshot
 from uncle.recon.visualization import offscreen
-from uncle.recon.visualization.mesh_pictures import RENDERERS, draw_mesh, load_run_mesh, snapshot_views, surface_distance
+from uncle.recon.visualization.mesh_pictures import (
+    RENDERERS,
+    draw_mesh,
+    load_run_mesh,
+    snapshot_views,
+    surface_distance,
+)
 from uncle.recon.visualization.shading import Geometry, light_triangles
 from uncle.recon.visualization.views import View, guess_up, mesh_views, run_views, spread_poses, trajectory_up
 

@@ -7,7 +7,16 @@ import pytest
 from uncle.recon.core.config.presets import PRESETS
 from uncle.recon.core.errors import ConfigError
 from uncle.recon.evaluation.bench import methods
-from uncle.recon.evaluation.bench.plan import Choice, Job, Scene, is_done, plan, scene_name, synth_arguments, with_timing
+from uncle.recon.evaluation.bench.plan import (
+    Choice,
+    Job,
+    Scene,
+    is_done,
+    plan,
+    scene_name,
+    synth_arguments,
+    with_timing,
+)
 from uncle.recon.evaluation.bench.variants import variants_of_methods
 
 ROOM = Scene("room", Path("room"), "senfunet", ("sl", "sgm", "psmnet"), True, True, 130, "abc")

@@ -55,7 +55,7 @@ def test_unit_weights_sum_what_is_read_inside_the_box():
     assert mapping_loss(PICTURE, RAYS, uniform(), "color").item() == pytest.approx(depth + color)
 
 
-@pytest.mark.parametrize("faithful", [False, True])
+@pytest.mark.parametrize("reproduce_released_code", [False, True])
 def test_laplace_loss(reproduce_released_code):
     weighting = laplace(reproduce_released_code=reproduce_released_code)
     beta = np.stack(
