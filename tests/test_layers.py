@@ -1,45 +1,167 @@
-"""The direction of the imports: cli -> recon <- datasets."""
+"""The rooms of the program and what each may import; see docs/architecture.md."""
+
+from __future__ import annotations
 
 import ast
+import subprocess
+import sys
+import tomllib
+from functools import cache
+from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
 
 import pytest
 
 ROOT = Path(__file__).parents[1]
-LAYERS = ("recon", "cli", "datasets")
-ALLOWED = {"recon": set(), "datasets": {"recon"}, "cli": {"recon", "datasets"}}
-FILES = [path for layer in LAYERS for path in sorted((ROOT / layer).rglob("*.py"))]
+TOP = ("recon", "cli", "datasets")
+SENSORS = {"core", "run", "volume", "sensors"}
+METHODS = {*SENSORS, "mvs", "tracking"}
+EVALUATION = {"core", "run", "sensors"}
+# room of recon -> the rooms that it may import
+ROOMS = {
+    "core": set(),
+    "run": {"core"},
+    "volume": {"core"},
+    "sensors": {"core", "run", "volume"},
+    "mvs": SENSORS,
+    "tracking": SENSORS,
+    "methods": METHODS,
+    "evaluation": EVALUATION,
+    "visualization": {*EVALUATION, "volume", "evaluation"},
+    "stages": {*METHODS, "methods", "evaluation", "visualization"},
+}
+# what cli may import of recon beside core and stages
+CLI = {
+    "recon.run.directory", "recon.run.frames", "recon.methods.registry", "recon.methods.pretrain",
+    "recon.methods.confidence.models", "recon.sensors.noise_prior", "recon.evaluation", "recon.visualization",
+}  # fmt: skip
+METHOD_FOLDERS = ("uncle", "nice", "vox", "senfunet")
+FILES = {path.relative_to(ROOT): path for top in TOP for path in sorted((ROOT / top).rglob("*.py"))}
 
 
-def imported_layers(path: Path) -> set[str]:
-    """Other layers that the file imports, anywhere in it."""
-    depth = len(path.relative_to(ROOT).parts)  # `from ` + this many dots reaches the folder that holds the layers
-    names = []
-    for node in ast.walk(ast.parse(path.read_text())):
+@cache
+def tree_of(path: Path) -> ast.Module:
+    return ast.parse(FILES[path].read_text())
+
+
+def module_of(path: Path) -> str:
+    """recon/core/files.py -> recon.core.files"""
+    parts = path.with_suffix("").parts
+    return ".".join(parts[:-1] if parts[-1] == "__init__" else parts)
+
+
+MODULES = {module_of(path): path for path in FILES}
+
+
+@cache
+def imports(path: Path) -> frozenset[str]:
+    """Modules of this program that a file imports, anywhere in it: also late, and for type checking alone."""
+    package = list(path.parent.parts)
+    found = set()
+    for node in ast.walk(tree_of(path)):
         if isinstance(node, ast.Import):
-            names += [alias.name.removeprefix("uncle.") for alias in node.names if alias.name.startswith("uncle.")]
+            found |= {alias.name.removeprefix("uncle.") for alias in node.names if alias.name.startswith("uncle.")}
         elif isinstance(node, ast.ImportFrom):
-            module = node.module or ""
-            if node.level == depth:
-                names += [module] if module else [alias.name for alias in node.names]
-            elif node.level == 0 and module.split(".")[0] == "uncle":
-                names += [module.removeprefix("uncle.")]
-    return {name.split(".")[0] for name in names} - {path.relative_to(ROOT).parts[0]}
+            base = package[: len(package) - node.level + 1] if node.level else []
+            name = ".".join([*base, *(node.module or "").split(".")]).strip(".").removeprefix("uncle.")
+            if name.split(".")[0] in TOP:
+                inner = {f"{name}.{alias.name}" for alias in node.names} & set(MODULES)
+                found |= inner or {name}
+    return frozenset(found - {module_of(path)})
 
 
-def test_the_check_sees_an_import():
-    assert imported_layers(ROOT / "cli" / "preprocess.py") == {"recon", "datasets"}
+def room(module: str) -> str:
+    """recon.core.files -> core; cli.map -> cli"""
+    top, *rest = module.split(".")
+    return rest[0] if top == "recon" and rest else top
 
 
-@pytest.mark.parametrize("path", FILES, ids=lambda path: str(path.relative_to(ROOT)))
-def test_imports_follow_the_layers(path):
-    layer = path.relative_to(ROOT).parts[0]
-    assert imported_layers(path) <= ALLOWED[layer]
+def one_of_each(paths):
+    return pytest.mark.parametrize("path", list(paths), ids=str)
 
 
-@pytest.mark.parametrize("path", [path for path in FILES if path.is_relative_to(ROOT / "recon")], ids=lambda p: p.name)
+def test_the_check_sees_imports():
+    assert "recon.stages.preprocess" in imports(Path("cli/preprocess.py"))
+    assert "recon.core.errors" in imports(Path("recon/core/files.py"))
+
+
+def test_recon_holds_the_ten_rooms():
+    folders = {p.name for p in (ROOT / "recon").iterdir() if p.is_dir() and p.name != "__pycache__"}
+    files = {p.name for p in (ROOT / "recon").iterdir() if p.is_file()}
+    assert folders == set(ROOMS)
+    assert files <= {"__init__.py", "py.typed"}
+
+
+@one_of_each(FILES)
+def test_imports_follow_the_rooms(path):
+    mine = room(module_of(path))
+    for module in imports(path):
+        theirs = room(module)
+        if mine == theirs or module in TOP:
+            continue
+        if path.parts[0] == "datasets":
+            assert theirs == "core", f"{path} imports {module}"
+        elif path.parts[0] == "cli":
+            allowed = theirs in {"core", "stages", "datasets"} or any(
+                module == name or module.startswith(f"{name}.") for name in CLI
+            )
+            assert allowed, f"{path} imports {module}"
+        else:
+            assert theirs in ROOMS[mine], f"{path} imports {module}"
+
+
+@one_of_each(path for path in FILES if path.parts[:2] == ("recon", "methods") and path.parts[2] in METHOD_FOLDERS)
+def test_methods_do_not_import_each_other(path):
+    others = {f"recon.methods.{name}" for name in METHOD_FOLDERS if name != path.parts[2]}
+    assert not [module for module in imports(path) if module.startswith(tuple(others))]
+
+
+@one_of_each(path for path in FILES if path.parts[:3] == ("recon", "evaluation", "bench"))
+def test_bench_runs_processes_only(path):
+    for module in imports(path):
+        assert module.startswith(("recon.core", "recon.evaluation.bench")), f"{path} imports {module}"
+
+
+def ring(graph: dict[str, set[str]]) -> list[str]:
+    """The nodes of a circle in the graph, or nothing."""
+    try:
+        TopologicalSorter(graph).prepare()
+    except CycleError as error:
+        return error.args[1]
+    return []
+
+
+def test_no_circle_of_files():
+    assert ring({module_of(path): set(imports(path)) for path in FILES}) == []
+
+
+def test_no_circle_of_rooms():
+    graph: dict[str, set[str]] = {}
+    for path in FILES:
+        mine = room(module_of(path))
+        graph.setdefault(mine, set()).update({room(module) for module in imports(path)} - {mine})
+    assert ring(graph) == []
+
+
+@one_of_each(Path("recon", name, "__init__.py") for name in ROOMS)
+def test_faces_define_nothing(path):
+    """A docstring, names, and at most the lazy `__getattr__` that finds them."""
+    body = tree_of(path).body
+    assert ast.get_docstring(tree_of(path))
+    assert [type(node).__name__ for node in body if isinstance(node, ast.ClassDef)] == []
+    assert {node.name for node in body if isinstance(node, ast.FunctionDef)} <= {"__getattr__", "__dir__"}
+
+
+@pytest.mark.parametrize("name", ROOMS)
+def test_faces_load_no_heavy_library(name):
+    script = f"import sys, uncle.recon.{name}; print(sorted({{'torch', 'open3d', 'matplotlib'}} & set(sys.modules)))"
+    answer = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)
+    assert answer.stdout.strip() == "[]"
+
+
+@one_of_each(path for path in FILES if path.parts[0] == "recon")
 def test_the_library_neither_prints_nor_knows_click(path):
-    tree = ast.parse(path.read_text())
+    tree = tree_of(path)
     calls = {node.func.id for node in ast.walk(tree) if isinstance(node, ast.Call) and isinstance(node.func, ast.Name)}
     modules = {alias.name for node in ast.walk(tree) if isinstance(node, ast.Import) for alias in node.names}
     modules |= {node.module for node in ast.walk(tree) if isinstance(node, ast.ImportFrom) and node.level == 0}
@@ -47,6 +169,30 @@ def test_the_library_neither_prints_nor_knows_click(path):
     assert not {module.split(".")[0] for module in modules} & {"click", "rich", "tqdm", "evo"}
 
 
-@pytest.mark.parametrize("path", FILES, ids=lambda path: str(path.relative_to(ROOT)))
-def test_files_fit_on_a_few_screens(path):
-    assert len(path.read_text().splitlines()) <= 300
+def private_imports(paths) -> set[str]:
+    """`file: name` of every name with a leading underscore that a file takes from another module of the program."""
+    found = set()
+    for path in paths:
+        for node in ast.walk(ast.parse((ROOT / path).read_text())):
+            if isinstance(node, ast.ImportFrom) and (node.level or (node.module or "").startswith("uncle.")):
+                found |= {f"{path}: {a.name}" for a in node.names if a.name.startswith("_")}
+    return found
+
+
+def test_private_names_stay_in_their_module():
+    assert private_imports(FILES) == set()
+
+
+def test_tests_do_not_import_private_names():
+    assert private_imports(path.relative_to(ROOT) for path in (ROOT / "tests").rglob("*.py")) == set()
+
+
+def test_every_package_is_installed():
+    settings = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["setuptools"]
+    folders = {"uncle." + module_of(path) for path in FILES if path.name == "__init__.py"}
+    assert set(settings["packages"]) == folders
+
+
+@one_of_each(FILES)
+def test_files_hold_one_concept(path):
+    assert len(FILES[path].read_text().splitlines()) <= 500

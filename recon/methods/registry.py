@@ -113,7 +113,7 @@ def _run_uncle(job: MapJob) -> MapResult:
 
 def _run_batch(job: MapJob, fuse: Fuse) -> MapResult:
     began = time.time()
-    tracker = choose_tracker(job.frames, job.config, None)
+    tracker = choose_tracker(job.frames, job.config)
     poses = _track_alone(job, tracker) if job.config.tracking.enabled else None
     tracked = time.time()
     field, poses = fuse(job.frames, job.indices, job.config, job.on_event, poses)

@@ -12,7 +12,6 @@ from torch import Tensor
 from ..core.camera import Camera
 from ..core.config.uncle import UncertaintyConfig
 from ..core.frame import Frame
-from ..methods.uncle.ray_buffer import RayBuffer
 from .bias_model import CONFIRMED, BiasModel, CrossViewConsistencyTest
 from .photometric_depth import PhotometricDepth
 
@@ -61,19 +60,6 @@ class BiasCorrection:
         known = [sensor for sensor in frame.depths if self.models[sensor].believed]
         corrected = {sensor: self._correct(sensor, frame.depths[sensor], features) for sensor in known}
         return replace(frame, depths=frame.depths | corrected) if known else frame
-
-    def correct_rays(self, rays: RayBuffer) -> RayBuffer:
-        """`rays` without the biases that are believed."""
-        corrected = RayBuffer(rays.capacity)
-        corrected.columns = dict(rays.columns)
-        if len(rays):
-            corrected.columns["depths"] = depths = rays["depths"].clone()
-            for column, model in enumerate(self.models.values()):
-                if model.believed:
-                    read = depths[:, column] > 0
-                    depths[read, column] -= model.of(rays["features"][read, column].float())
-            depths.clamp_(min=0)
-        return corrected
 
     def believed(self) -> set[str]:
         """The sensors whose bias is taken off."""

@@ -57,13 +57,13 @@ def _observing_views(camera: Camera, images: Sequence[PosedDepth], which: int) -
     if not len(known):
         return []
     poses = np.stack([other.T_world_camera for other in images])
-    sees = _overlap(camera, poses, image.T_world_camera, float(np.median(known))) > MIN_OBSERVER_OVERLAP
+    sees = view_overlap(camera, poses, image.T_world_camera, float(np.median(known))) > MIN_OBSERVER_OVERLAP
     sees[which] = False
     rows = np.flatnonzero(sees)
     return [images[row] for row in rows[:: 1 + len(rows) // MAX_OBSERVING_VIEWS]]
 
 
-def _overlap(camera: Camera, poses: np.ndarray, here: np.ndarray, distance_m: float) -> np.ndarray:
+def view_overlap(camera: Camera, poses: np.ndarray, here: np.ndarray, distance_m: float) -> np.ndarray:
     """(N,) share of points at `distance_m` before the camera `here` that each of `poses` (N, 4, 4) sees."""
     spread = np.array([-_SIDE, 0.0, _SIDE])
     x, y = (axis.ravel() for axis in np.meshgrid(spread * camera.cx / camera.fx, spread * camera.cy / camera.fy))

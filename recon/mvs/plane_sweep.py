@@ -15,7 +15,7 @@ import numpy as np
 
 from ..core.camera import Camera
 from .cost_volume import GreyView, texture, zncc_volume
-from .multi_view_consistency import _overlap
+from .multi_view_consistency import view_overlap
 
 SOURCES = 6
 MIN_SOURCES = 2
@@ -50,7 +50,7 @@ def choose_sources(camera: Camera, T_world_camera: np.ndarray, reference: int, d
     poses, here = T_world_camera, T_world_camera[reference]
     shift = np.linalg.norm(poses[:, :3, 3] - here[:3, 3], axis=1)
     angle = np.arctan2(shift, distance_m)
-    overlap = _overlap(camera, poses, here, distance_m)
+    overlap = view_overlap(camera, poses, here, distance_m)
     able = (angle > ANGLES[0]) & (angle < ANGLES[1]) & (overlap > MIN_OVERLAP)
     chosen: list[int] = []
     for row in np.argsort(-(overlap + np.minimum(angle, 0.3)), kind="stable"):

@@ -130,7 +130,7 @@ def _sensors(run: RunDirectory, on_event: OnEvent) -> str:
     parts = [_trust(run, readings)]
     for sensor in readings:
         parts.append(heading(f"Sensor {sensor}"))
-        parts.append(_faults(run, sensor))
+        parts.append(fault_section(run, sensor))
         if sensor in sheets:
             picture = sheets[sensor].read_bytes()
             parts.append(embed_picture(picture, "All sensors share these scales.", photographic=True))
@@ -143,7 +143,7 @@ def _sensors(run: RunDirectory, on_event: OnEvent) -> str:
     return "\n".join(filter(None, parts)) or missing("The run has no sensor but the ground truth.")
 
 
-def _faults(run: RunDirectory, sensor: str) -> str:
+def fault_section(run: RunDirectory, sensor: str) -> str:
     """What was wrong with a sensor while the map was made."""
     sensors = (_read_json(run.sensors_path) or {}).get("sensors")
     facts = sensors.get(sensor) if isinstance(sensors, dict) else None

@@ -83,7 +83,11 @@ def nearest(poses: np.ndarray, expected: np.ndarray) -> np.ndarray:
 
 def _best(camera, pose, expected, points, seen, usual) -> np.ndarray:
     """The pose (4, 4) of least cost: `pose`, or what readings make of those `expected` (K, 4, 4)."""
-    best, least, most = pose, _cost(camera, pose, expected, points, seen, usual), _agreeing(camera, pose, points, seen)
+    best, least, most = (
+        pose,
+        pose_cost(camera, pose, expected, points, seen, usual),
+        _agreeing(camera, pose, points, seen),
+    )
     for start in expected:
         found = start
         for limit in _LIMITS:
@@ -93,7 +97,7 @@ def _best(camera, pose, expected, points, seen, usual) -> np.ndarray:
             found = adjust(camera, found[None], points, kept, np.ones(1, bool), free_points=False,
                            iterations=_ITERATIONS).poses[0]  # fmt: skip
         agreeing = _agreeing(camera, found, points, seen)
-        cost = _cost(camera, found, expected, points, seen, usual)
+        cost = pose_cost(camera, found, expected, points, seen, usual)
         if agreeing >= max(_LEAST_READINGS, most / 2) and cost < least:
             best, least = found, cost
     return best
@@ -103,7 +107,7 @@ def _agreeing(camera, pose, points, seen) -> int:
     return len(without_outliers(camera, pose[None], points, seen, _LIMITS[-1]))
 
 
-def _cost(camera, pose, expected, points, seen, usual) -> float:
+def pose_cost(camera, pose, expected, points, seen, usual) -> float:
     off = np.linalg.norm(nearest(pose[None], expected[:, None])[0] / usual)
     r, _, _ = residuals(camera, pose[None][seen.camera], points[seen.point], seen)
     return robust_weights(r, seen.share_px)[1] + min(off**2, PRIOR_COST_PER_OBSERVATION * len(seen))

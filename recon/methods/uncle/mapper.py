@@ -25,7 +25,7 @@ from ...volume.tsdf_volume import TsdfVolume
 from .fusion_log import FusionLog
 from .keyframes import KeyframeSelector
 from .ray_batch import RayBatch
-from .ray_buffer import RayBuffer
+from .ray_buffer import RayBuffer, without_bias
 
 _MAX_SELF_SHARE = 0.9  # readings that make up more of the map than this say nothing about themselves
 
@@ -190,7 +190,7 @@ class Mapper:
         """
         said = []
         if len(self.rays):
-            said.append(RayBatch.of_sensors(self.bias.correct_rays(self.rays), self.noise, self.weights.worth))
+            said.append(RayBatch.of_sensors(without_bias(self.rays, self.bias.models), self.noise, self.weights.worth))
         if self.witness.samples:
             said.append(RayBatch.of_color(self.witness, self.device))
         return said

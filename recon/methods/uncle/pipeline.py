@@ -74,7 +74,7 @@ def reconstruct(
     mapper = Mapper(frames.camera, frames.sensors, config, choose_device(config.device))
     if prior is not None:
         prior.teach(mapper.noise)
-    tracker = choose_tracker(frames, config, mapper)
+    tracker = choose_tracker(frames, config, mapper.noise, mapper.volume)
     progress = _restore(checkpoint, mapper, tracker, on_event)
     if progress is None:  # poses that moved need one more sweep
         progress = RunProgress(last=max(config.fusion.passes, int(config.tracking.enabled)))

@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import torch
 from torch import Tensor
+
+from ...mvs.bias_model import BiasModel
 
 
 class RayBuffer:
@@ -43,3 +47,17 @@ class RayBuffer:
             motion = motion.to(self["origins"])
             self.columns["origins"][mine] = self["origins"][mine] @ motion[:3, :3].T + motion[:3, 3]
             self.columns["directions"][mine] = self["directions"][mine] @ motion[:3, :3].T
+
+
+def without_bias(rays: RayBuffer, models: Mapping[str, BiasModel]) -> RayBuffer:
+    """`rays` with the active bias models, in the order of the columns, subtracted from their depths."""
+    corrected = RayBuffer(rays.capacity)
+    corrected.columns = dict(rays.columns)
+    if len(rays):
+        corrected.columns["depths"] = depths = rays["depths"].clone()
+        for column, model in enumerate(models.values()):
+            if model.believed:
+                read = depths[:, column] > 0
+                depths[read, column] -= model.of(rays["features"][read, column].float())
+        depths.clamp_(min=0)
+    return corrected

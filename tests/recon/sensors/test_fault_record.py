@@ -4,7 +4,7 @@ import json
 
 from uncle.recon.run.directory import RunDirectory
 from uncle.recon.sensors.fault_record import Stretch, describe, save, stretches
-from uncle.recon.stages.report import _faults
+from uncle.recon.stages.report import fault_section
 
 
 def spelled(letters: str, first: int = 0, step: int = 1):
@@ -43,9 +43,9 @@ def test_the_file_holds_every_frame_that_was_left_out(tmp_path):
 
 def test_the_report_repeats_what_was_said(tmp_path):
     run = RunDirectory(tmp_path)
-    assert _faults(run, "b") == ""
+    assert fault_section(run, "b") == ""
     save(run.sensors_path, {"a": spelled("ooooo"), "b": spelled("offff")})
-    assert "b: frozen from frame 1 to 4, left out" in _faults(run, "b")
-    assert _faults(run, "a") == _faults(run, "c") == ""
+    assert "b: frozen from frame 1 to 4, left out" in fault_section(run, "b")
+    assert fault_section(run, "a") == fault_section(run, "c") == ""
     run.sensors_path.write_text('{"sensors": [1]}')
-    assert _faults(run, "b") == ""
+    assert fault_section(run, "b") == ""

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from uncle.recon.core.se3 import inverse, moved, transform
 from uncle.recon.tracking.bundle_adjustment import Observations, adjust, residuals, robust_weights
-from uncle.recon.tracking.outlier_poses import _cost, expectations, nearest, reoptimise_outliers
+from uncle.recon.tracking.outlier_poses import expectations, nearest, pose_cost, reoptimise_outliers
 
 SPEED = np.array([0.02, -0.01, 0.005, 0.01, 0.02, -0.005])  # of a hand, a frame
 TIMES = np.array([0.0, 1, 2, 3, 5, 6, 7, 8, 9, 10, 11, 12])
@@ -63,7 +63,7 @@ def test_costs_of_all_frames_are_the_whole_where_they_are_expected(seen):
     for frame, pose in enumerate(off):
         own = observations[observations.camera == frame]
         own = replace(own, camera=np.zeros(len(own), np.int64))
-        costs.append(_cost(camera, pose, pose[None], points, own, np.array([1e-3, 1e-3])))
+        costs.append(pose_cost(camera, pose, pose[None], points, own, np.array([1e-3, 1e-3])))
     assert sum(costs) == pytest.approx(robust_weights(r, observations.share_px)[1])
 
 
