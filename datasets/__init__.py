@@ -40,7 +40,7 @@ def recognise(path: Path) -> str:
             return name
     looked_for = "; ".join(f"{name}: {layout}" for name, (_, layout) in _READERS.items())
     raise DataError(
-        f"cannot tell the format of {path}; looked for {looked_for}. Name it with --format, or see docs/own-data.md"
+        f"cannot tell the format of {path}; looked for {looked_for}. Name it with --format, or see docs/data-formats.md"
     )
 
 

@@ -63,7 +63,7 @@ class CameraFields(BaseModel):
 
 
 class CameraFile(CameraFields):
-    """`camera.json`: see docs/own-data.md."""
+    """`camera.json`: see docs/data-formats.md."""
 
     depth_scale: float | None = Field(default=None, gt=0, allow_inf_nan=False)
     timestamps: str | None = None
@@ -103,7 +103,7 @@ class CameraFile(CameraFields):
             first = error.errors()[0]
             where = ".".join(str(part) for part in first["loc"]) or "the file"
             what = first["msg"].removeprefix("Value error, ")
-            raise DataError(f"{path}: {where}: {what} (fields are described in docs/own-data.md)") from error
+            raise DataError(f"{path}: {where}: {what} (fields are described in docs/data-formats.md)") from error
         except (OSError, UnicodeDecodeError) as error:
             raise DataError(f"cannot read {path}: {error}") from error
         return file

@@ -1,4 +1,4 @@
-"""Own recordings: `camera.json`, `color/`, any number of depth folders, optional poses (docs/own-data.md)."""
+"""Own recordings: `camera.json`, `color/`, any number of depth folders, optional poses (docs/data-formats.md)."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def read(path: Path) -> FileRecording:
     """Open a recording. Raises DataError."""
     camera_file = CameraFile.load(path)
     if camera_file is None:
-        raise DataError(f"{path} holds no {CAMERA_FILE}; docs/own-data.md has one to copy")
+        raise DataError(f"{path} holds no {CAMERA_FILE}; docs/data-formats.md has one to copy")
     colors = list_files(path / "color")
     if not colors:
         raise DataError(f"{path / 'color'} holds no PNG or JPG images")

@@ -9,7 +9,7 @@ from uncle.datasets import open_dataset
 from uncle.recon.core.camera import Camera
 from uncle.recon.core.errors import DataError, FrameError
 
-DOCS = Path(__file__).resolve().parents[2] / "docs" / "own-data.md"
+DOCS = Path(__file__).resolve().parents[2] / "docs" / "data-formats.md"
 
 COLOR_CAMERA = {"width": 96, "height": 54, "fx": 70.0, "fy": 71.0, "cx": 50.0, "cy": 26.0}
 MILLIMETRES = np.eye(4) + 25.0 * np.eye(4, k=3)
