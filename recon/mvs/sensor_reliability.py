@@ -67,7 +67,7 @@ def statements(
         weight = torch.empty_like(beta)
         for view in views:
             of_view = told["views"] == view
-            weight[of_view] = weights.of_image(beta[of_view], depth[of_view] > 0, sensor)[0]
+            weight[of_view] = weights.for_sensor(beta[of_view], depth[of_view] > 0, sensor)[0]
         weighs.append(weight)
     offset = torch.stack([*offsets, told["color"] - told["expected"]], 1)
     offset[offset.abs() >= truncation_m] = torch.nan

@@ -48,7 +48,7 @@ class Mapper:
         self.rays = RayBuffer(config.keyframes.max_rays)
         self.log = FusionLog()  # used while poses can still change
         self.said = dict.fromkeys(sensors, 0.0)  # weight of all readings of each sensor in the map
-        self.witness = PhotometricDepth(camera, config.color, config.uncertainty, fusion.voxel_size_m, config.seed)
+        self.witness = PhotometricDepth(camera, config.photometric, config.uncertainty, fusion.voxel_size_m, config.seed)
         self._surface: TsdfSurface | None = None  # until something is fused
         self.health = FaultDetector(camera, sensors, config.fault_detection, poses_given=not config.tracking.enabled)
 
@@ -102,7 +102,7 @@ class Mapper:
             depth, weight, free_space = depth.to(self.device), None, None
             if self.config.uncertainty.enabled:
                 betas[sensor] = noise[sensor].beta_image(depth, features[sensor].to(self.device))
-                weight, free_space = self.weights.of_image(betas[sensor], depth > 0, sensor)
+                weight, free_space = self.weights.for_sensor(betas[sensor], depth > 0, sensor)
             self.volume.integrate(depth, weight, color, T_world_camera, free_space, deintegrate_block_count)
             said = self._weight_near_surface(depth, weight)
             self.said[sensor] += said if deintegrate_block_count is None else -said

@@ -178,7 +178,7 @@ def test_colour_that_is_exact_is_asked_again_where_it_found_another_surface(box_
     witness, _ = witness_of(box_room, walk, scale=scale)
     witness.confirmed = exact
     assert witness.needs_another_pass() == again
-    for _ in range(PhotometricConfig().passes - 1):
+    for _ in range(PhotometricConfig().max_passes - 1):
         assert witness.needs_another_pass() == again
         witness.look(RoomFrames(box_room, walk), dict(enumerate(walk)), OffSurface(box_room, 1.0))
     assert not witness.needs_another_pass()
@@ -290,7 +290,7 @@ def test_the_map_overcomes_a_bias_that_its_only_sensor_always_has(box_room, walk
     with_colors = reconstructed(box_room, walk, tmp_path / "a")
     without = reconstructed(box_room, walk, tmp_path / "b", "photometric.enabled=false")
     assert len(with_colors.curves["noise/photometric"]) == 3  # asked again: the first surface was off
-    assert "sweep 4" in with_colors.seconds
+    assert "pass_4" in with_colors.seconds
     assert "pass_3" not in without.seconds
     assert "noise/photometric" not in without.curves
     assert not without.mapper.witness.depths
@@ -366,10 +366,10 @@ def test_a_later_trial_that_confirms_nothing_takes_the_bias_back(
 def test_colour_is_asked_as_often_as_is_set(box_room, walk, tmp_path):
     once = reconstructed(box_room, walk, tmp_path / "a", "photometric.max_passes=1")
     assert len(once.curves["noise/photometric"]) == 1
-    assert {"pass_2"} == {part for part in once.seconds if part in ("pass_2", "pass_3", "sweep 4")}
+    assert {"pass_2"} == {part for part in once.seconds if part in ("pass_2", "pass_3", "pass_4")}
     more = reconstructed(box_room, walk, tmp_path / "b", "photometric.max_passes=2", "fusion.passes=3")
     assert len(more.curves["noise/photometric"]) == 2
-    assert "sweep 4" in more.seconds
+    assert "pass_4" in more.seconds
 
 
 def test_a_bias_below_that_of_colour_is_left_alone(box_room, walk, tmp_path, monkeypatch):
