@@ -48,7 +48,9 @@ class Mapper:
         self.rays = RayBuffer(config.keyframes.max_rays)
         self.log = FusionLog()  # used while poses can still change
         self.said = dict.fromkeys(sensors, 0.0)  # weight of all readings of each sensor in the map
-        self.witness = PhotometricDepth(camera, config.photometric, config.uncertainty, fusion.voxel_size_m, config.seed)
+        self.witness = PhotometricDepth(
+            camera, config.photometric, config.uncertainty, fusion.voxel_size_m, config.seed
+        )
         self._surface: TsdfSurface | None = None  # until something is fused
         self.health = FaultDetector(camera, sensors, config.fault_detection, poses_given=not config.tracking.enabled)
 
