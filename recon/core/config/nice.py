@@ -1,4 +1,4 @@
-"""Settings of the paper's system and of NICE-SLAM (METHOD, Scene representation to Tracking; Replica's numbers)."""
+"""Settings of `uncle-paper` and `nice-slam` (docs/uncle-paper.md); the defaults are the papers' numbers for Replica."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ class NiceConfig(Strict):
     """Feature grids, rendering and uncertainty of `uncle-paper` and `nice-slam`."""
 
     reproduce_released_code: bool = Field(
-        False, description="Take the published code's choices where they differ from the paper's text (docs/paper.md)."
+        False, description="Take the published code's choices where they differ from the paper's text (docs/uncle-paper.md)."
     )
     weighting: Literal["laplace", "uniform", "confidence"] = Field(
         "laplace", description="What a reading weighs: its learned beta, one, or its confidence; set by the preset."

@@ -1,4 +1,4 @@
-"""Settings of the method `vox-fusion`; METHOD, Baselines, Vox-Fusion, where a description says nothing else."""
+"""Settings of the method `vox-fusion`: the published values, except where a description says "ours"."""
 
 from __future__ import annotations
 
