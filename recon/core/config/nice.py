@@ -13,7 +13,8 @@ class NiceConfig(Strict):
     """Feature grids, rendering and uncertainty of `uncle-paper` and `nice-slam`."""
 
     reproduce_released_code: bool = Field(
-        False, description="Take the published code's choices where they differ from the paper's text (docs/uncle-paper.md)."
+        False,
+        description="Follow the released code where it differs from the text of the paper (docs/uncle-paper.md).",
     )
     weighting: Literal["laplace", "uniform", "confidence"] = Field(
         "laplace", description="What a reading weighs: its learned beta, one, or its confidence; set by the preset."
