@@ -3,23 +3,43 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import click
 
+from ..recon.core.events import Warn
+from ..recon.methods.registry import DEFAULT_METHOD, method_spec, method_specs, plugin_problems
 from .console import listener
 from .options import SensorsCommand, device_option, overwrite_option, run_option, seed_option, sensors_option
 
-METHODS = ("uncle", "uncle-paper", "nice-slam", "nice-slam-pre", "vox-fusion", "senfunet", "tsdf")
+
+class _MethodName(click.Choice[str]):
+    """The name of a method; those of installed packages among them."""
+
+    name = "method"
+
+    def __init__(self) -> None:
+        self.specs = method_specs()
+        super().__init__(list(self.specs))
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> str:
+        if ctx is not None:
+            for problem in plugin_problems():
+                listener(ctx)(Warn(problem))
+        return super().convert(value, param, ctx)
+
+    def help(self) -> str:
+        """A sentence on each method."""
+        return "; ".join(f"{spec.name}: {spec.summary}" for spec in self.specs.values()) + "."
+
+
+_METHOD = _MethodName()
 
 
 @click.command("map", cls=SensorsCommand)
 @run_option
 @sensors_option("Sensors to use. Default: all but the ground truth.")
-@click.option("--method", type=click.Choice(METHODS), default="uncle", show_default=True,
-              help="uncle: fusion with learned uncertainty; uncle-paper, nice-slam: feature grids that are rendered, "
-                   "as in the papers; nice-slam-pre: with confidences of trained networks; "
-                   "vox-fusion: distances on sparse voxels, tracked and mapped by rendering; "
-                   "senfunet: two sensors fused by trained networks; tsdf: plain Open3D fusion.")  # fmt: skip
+@click.option("--method", type=_METHOD, default=DEFAULT_METHOD, show_default=True, help=_METHOD.help())
 @click.option("--track", is_flag=True,
               help="Estimate the camera of every frame; without it the poses are those of the data set.")  # fmt: skip
 @click.option("--color/--no-color", default=True, show_default=True,
@@ -48,7 +68,6 @@ def command(
     uncle map --method tsdf --set fusion.voxel_size_m=0.01
     uncle map --prior yesterday/run
     """
-    from ..recon.core.config.map_config import make_config
     from ..recon.core.events import Note
     from ..recon.run.directory import RunDirectory
     from ..recon.sensors.noise_prior import NoisePrior
@@ -58,7 +77,8 @@ def command(
         raise click.UsageError("--no-color is about tracking; add --track")
     settings = [f"tracking.enabled={str(track).lower()}", f"tracking.color={str(color).lower()}", *overrides]
     settings += [f"fusion.voxel_size_m={voxel}"] if voxel is not None else []
-    config = make_config(method, settings, sensors=sensors, seed=seed, device=device, hold_out=hold_out or 0)
+    spec = method_spec(method)
+    config = spec.configure(settings, sensors=sensors, seed=seed, device=device, hold_out=hold_out or 0)
     say = listener(ctx)
     known = NoisePrior.load(prior) if prior is not None else None
     summary = map_run(RunDirectory(run_path), config, prior=known, resume=resume, overwrite=overwrite, on_event=say)

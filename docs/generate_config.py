@@ -47,7 +47,8 @@ def _model(group: str) -> type[BaseModel]:
 def _row(key: str) -> str:
     group, _, name = key.rpartition(".")
     info = _model(group).model_fields[name]
-    return f"| `{key}` | {_value(info.default)} | {_allowed(info)} | {info.description or ''} |"
+    allowed = ", ".join(PRESETS) if key == "method" else _allowed(info)
+    return f"| `{key}` | {_value(info.default)} | {allowed} | {info.description or ''} |"
 
 
 def _value(value: Any) -> str:

@@ -17,9 +17,7 @@ from ..run.frames import RunFrames
 from ..run.tracking_record import Status, TrackedFrame, TrackingRecord
 from ..tracking.base import require_found
 from ..volume.neural_field import NeuralField
-from .base import OnBeta
-
-Poses = dict[int, np.ndarray]  # frame index -> T_world_camera (4, 4) float64
+from .base import OnBeta, Poses
 
 
 @dataclass(frozen=True)

@@ -1,163 +1,121 @@
-"""How each method makes its map: fusion with learned uncertainty, plain fusion, or a field optimised frame by frame."""
+"""Every method of `uncle map`: those of this package, and those that installed packages add (docs/python.md).
+
+Importing this module is cheap: an implementation is imported when its method runs.
+"""
 
 from __future__ import annotations
 
-import time
-from collections.abc import Callable
-from typing import Any
+from functools import cache
 
-import numpy as np
-import torch
+from ..core.config.presets import PRESETS, add_preset, remove_preset
+from ..core.errors import ConfigError
+from ..core.plugins import load_plugins
+from .spec import MethodSpec
 
-from ..core.config.map_config import MapConfig
-from ..core.errors import DataError
-from ..core.events import OnEvent, track_progress
-from ..core.frame import Frame
-from ..core.tensor_files import save_tensors
-from ..run.frames import RunFrames
-from ..sensors.noise_prior import save_noise_models
-from ..tracking.base import Tracker, require_found
-from ..tracking.factory import choose_tracker
-from ..volume.neural_field import NeuralField
-from .base import MapJob, MapResult
-from .confidence.models import ConfidenceModels
-from .map_output import MapOutput
-from .nice.scene import choose_decoders
-from .online import OnlineSystem, map_online
-from .open3d_tsdf import fuse_open3d
-from .senfunet.fuse import fuse_senfunet, require_pair
-from .senfunet.models import SenfunetModel
-from .uncle.pipeline import choose_device, reconstruct
+ENTRY_POINTS = "uncle.methods"
+DEFAULT_METHOD = "uncle"
 
+_DEPTH_ONLY = {"depth": ("nice.color=false",)}  # the paper's depth-only rows use no colour in the map either
 
-def _vox_fusion(frames: RunFrames, config: MapConfig, device: torch.device) -> OnlineSystem:
-    from .vox.system import VoxSystem
+# In the order of help texts and tables.
+BUILT_IN = (
+    MethodSpec(
+        name="uncle",
+        summary="closed-form fusion with learned uncertainty, photometric depth and refinement by rendering",
+        kind="full",
+        implementation=".uncle.method:run",
+        preset=PRESETS["uncle"],
+    ),
+    MethodSpec(
+        name="uncle-paper",
+        summary="feature grids optimised by rendering, depth weighted by learned uncertainty, as in UncLe-SLAM",
+        kind="online",
+        implementation=".nice.system:NiceSystem",
+        preset=PRESETS["uncle-paper"],
+        trained_parts=".nice.trained:digests",
+        bench_settings=_DEPTH_ONLY,
+    ),
+    MethodSpec(
+        name="nice-slam",
+        summary="the same feature grids without weights, as in NICE-SLAM",
+        kind="online",
+        implementation=".nice.system:NiceSystem",
+        preset=PRESETS["nice-slam"],
+        trained_parts=".nice.trained:digests",
+        bench_settings=_DEPTH_ONLY,
+    ),
+    MethodSpec(
+        name="nice-slam-pre",
+        summary="the same feature grids, weighted by confidences of pretrained networks",
+        kind="online",
+        implementation=".nice.system:NiceSystem",
+        preset=PRESETS["nice-slam-pre"],
+        trained_parts=".nice.trained:digests",
+        bench_settings=_DEPTH_ONLY,
+    ),
+    MethodSpec(
+        name="vox-fusion",
+        summary="signed distances on sparse voxels, tracked and mapped by rendering, as in Vox-Fusion",
+        kind="online",
+        implementation=".vox.system:VoxSystem",
+        preset=PRESETS["vox-fusion"],
+    ),
+    MethodSpec(
+        name="senfunet",
+        summary="one or two sensors fused by trained networks, as in SenFuNet",
+        kind="batch",
+        implementation=".senfunet.method:fuse",
+        preset=PRESETS["senfunet"],
+        trained_parts=".senfunet.method:trained_digests",
+        max_sensors=2,
+        is_deterministic=True,
+        bench_given_only="it fuses with given poses and has no tracker",
+    ),
+    MethodSpec(
+        name="tsdf",
+        summary="Open3D's fusion with equal weights, the reference baseline",
+        kind="batch",
+        implementation=".open3d_tsdf:fuse_open3d",
+        preset=PRESETS["tsdf"],
+        clean_mesh=False,  # what a user of Open3D would get
+        is_deterministic=True,
+    ),
+)
 
-    return VoxSystem(frames, config, device)
-
-
-def _nice(frames: RunFrames, config: MapConfig, device: torch.device) -> OnlineSystem:
-    from .nice.system import NiceSystem
-
-    return NiceSystem(frames, config, device)
-
-
-# method -> its system; imported when it is wanted
-ONLINE_METHODS: dict[str, Callable[[RunFrames, MapConfig, torch.device], OnlineSystem]] = {
-    "uncle-paper": _nice,
-    "nice-slam": _nice,
-    "nice-slam-pre": _nice,
-    "vox-fusion": _vox_fusion,
-}
-
-Poses = dict[int, np.ndarray]
-Fuse = Callable[[RunFrames, list[int], MapConfig, OnEvent, Poses | None], tuple[NeuralField, Poses]]
-
-
-def _fuse_senfunet(frames: RunFrames, indices: list[int], config: MapConfig, on_event: OnEvent, poses: Poses | None):
-    model = _senfunet_model(config)
-    return fuse_senfunet(frames, indices, config, model, choose_device(config.device), on_event, poses)
-
-
-def _senfunet_model(config: MapConfig) -> SenfunetModel | None:
-    pair = require_pair(config.sensors)
-    return SenfunetModel.load(pair, config.senfunet.file or None) if pair else None
-
-
-# method -> one fusion of all frames, their poses being known
-BATCH_METHODS: dict[str, Fuse] = {"tsdf": fuse_open3d, "senfunet": _fuse_senfunet}
-
-
-def trained_parts(config: MapConfig) -> list[str]:
-    """Digests of the networks in files that decide what the method makes. Raises ConfigError if there are none."""
-    if config.method == "senfunet":
-        model = _senfunet_model(config)
-        return [model.digest] if model else []
-    if ONLINE_METHODS.get(config.method) is _nice:
-        found = [choose_decoders(config.nice.decoders).digest]
-        if config.nice.weighting == "confidence":
-            found.append(ConfidenceModels.load(config.sensors, config.confidence.files).digest)
-        return found
-    return []
-
-
-def make_map(job: MapJob) -> MapResult:
-    """Make the map of `job` by the method that its settings name. Raises DataError if there is no surface."""
-    if job.config.method in ONLINE_METHODS:
-        return _run_online(job, ONLINE_METHODS[job.config.method])
-    plain = BATCH_METHODS.get(job.config.method)
-    return _run_batch(job, plain) if plain else _run_uncle(job)
+_METHODS: dict[str, MethodSpec] = {spec.name: spec for spec in BUILT_IN}
 
 
-def _run_uncle(job: MapJob) -> MapResult:
-    output, config = MapOutput(job.run), job.config
-    made = reconstruct(
-        job.frames, job.indices, config, job.checkpoint, output.write_beta, job.on_event, job.prior
-    )  # fmt: skip
-    _require_surface(made.field)
-    output.drop_earlier_map()
-    output.write_curves(made.curves)
-    facts = {"seconds": _rounded(made.seconds), "keyframes": len(made.mapper.selector.T_camera_world)}
-    facts["bias_test_improved_ratio"] = {
-        sensor: round(share, 4) for sensor, share in made.mapper.bias.confirmed.items()
-    }
-    facts["bias_corrected_sensors"] = sorted(made.mapper.bias.believed())
-    facts["sensor_reliability"] = {sensor: round(worth, 4) for sensor, worth in made.mapper.weights.worth.items()}
-    facts["error_quantiles_in_beta"] = {sensor: widths for sensor, widths in made.mapper.intervals.items() if widths}
-    facts["sensor_weight_share"] = {sensor: round(share, 4) for sensor, share in made.mapper.weight_share().items()}
-    facts |= output.write_faults(made.mapper.health, job.on_event)
-    if config.uncertainty.enabled:
-        save_noise_models(job.run.noise_model_path, made.mapper.noise)
-    return MapResult(made.field, made.poses, made.tracking, facts)
+def method_specs() -> dict[str, MethodSpec]:
+    """Every method by name: those of this package first, then those that were added."""
+    plugin_problems()
+    return dict(_METHODS)
 
 
-def _run_batch(job: MapJob, fuse: Fuse) -> MapResult:
-    began = time.time()
-    tracker = choose_tracker(job.frames, job.config)
-    poses = _track_alone(job, tracker) if job.config.tracking.enabled else None
-    tracked = time.time()
-    field, poses = fuse(job.frames, job.indices, job.config, job.on_event, poses)
-    _require_surface(field)
-    MapOutput(job.run).drop_earlier_map()
-    seconds = {"tracking": tracked - began} if job.config.tracking.enabled else {}
-    return MapResult(field, poses, tracker.record(), {"seconds": _rounded(seconds | {"fusion": time.time() - tracked})})
+def method_spec(name: str) -> MethodSpec:
+    """The method called `name`. Raises ConfigError naming the known ones."""
+    specs = method_specs()
+    if name not in specs:
+        raise ConfigError(f"unknown method {name!r}; known methods: {', '.join(specs)}")
+    return specs[name]
 
 
-def _run_online(job: MapJob, make_system: Callable[[RunFrames, MapConfig, torch.device], OnlineSystem]) -> MapResult:
-    output = MapOutput(job.run)
-    system = make_system(job.frames, job.config, choose_device(job.config.device))
-    made = map_online(
-        job.frames, job.indices, job.config, system, job.checkpoint, output.write_beta, job.on_event
-    )  # fmt: skip
-    _require_surface(made.field)
-    output.drop_earlier_map()
-    output.write_curves(made.curves)
-    save_tensors(job.run.method_state_path, system.artifacts())
-    return MapResult(
-        made.field, made.poses, made.tracking, {"seconds": _rounded(made.seconds), "keyframes": system.keyframes()}
-    )
+def register_method(spec: MethodSpec) -> None:
+    """Add a method for the rest of this process. Raises ConfigError if its name is taken."""
+    if spec.name in _METHODS:
+        raise ConfigError(f"there is a method called {spec.name!r} already; choose another name")
+    add_preset(spec.name, spec.preset, spec.settings)
+    _METHODS[spec.name] = spec
 
 
-def _track_alone(job: MapJob, tracker: Tracker) -> dict[int, np.ndarray]:
-    """Poses by frame index from the images alone, without a map."""
-    frames, count = job.frames, len(job.indices)
-
-    def prepare(frame: Frame) -> tuple[Frame, Any]:
-        return frame, tracker.prepare(frame, {s: frames.normals(frame.index, s) for s in frames.sensors})
-
-    for frame, prepared in track_progress(frames.stream(job.indices, prepare), count, "tracking", job.on_event):
-        tracker.track(frame, prepared, {})
-    poses = tracker.finish()
-    require_found(poses, count)
-    return poses
+def unregister_method(name: str) -> None:
+    """Remove a method that `register_method` added. Raises ConfigError for any other."""
+    if name not in _METHODS or name in {spec.name for spec in BUILT_IN}:
+        raise ConfigError(f"{name!r} is not a method that was added")
+    del _METHODS[name]
+    remove_preset(name)
 
 
-def _require_surface(field: NeuralField) -> None:
-    if not bool(field.known.any()):
-        raise DataError(
-            "nothing was seen often enough to make a surface; map more frames or lower fusion.min_observations"
-        )
-
-
-def _rounded(seconds: dict[str, float]) -> dict[str, float]:
-    return {name: round(value, 2) for name, value in seconds.items()}
+@cache
+def plugin_problems() -> tuple[str, ...]:
+    """Adds the methods of installed packages, once; one line for each that had to be skipped."""
+    return tuple(load_plugins(ENTRY_POINTS, MethodSpec, register_method))

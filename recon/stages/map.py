@@ -19,7 +19,8 @@ from ..core.files import write_text
 from ..core.tensor_files import load_tensors, save_tensors
 from ..core.trajectory import Trajectory
 from ..methods.base import MapJob
-from ..methods.registry import make_map, trained_parts
+from ..methods.registry import method_spec
+from ..methods.runners import make_map
 from ..run.checkpoint import Checkpoint
 from ..run.directory import RunDirectory
 from ..run.frames import RunFrames
@@ -54,10 +55,12 @@ def map_run(
     """
     manifest = run.manifest
     config = config.model_copy(update={"sensors": choose_sensors(manifest, config.sensors)})
+    spec = method_spec(config.method)
+    spec.check_sensors(config.sensors)
     made_with = [
         run.require_stage("preprocess").config_hash,
         *([prior.digest] if prior else []),
-        *trained_parts(config),
+        *spec.trained_digests(config),
     ]
     digest = config_hash(config.model_dump(mode="json"), *made_with)
     checkpoint = Checkpoint(run.checkpoint_path, digest)

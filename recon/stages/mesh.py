@@ -8,6 +8,7 @@ from pathlib import Path
 
 from ..core.events import OnEvent, ignore
 from ..core.trajectory import Trajectory
+from ..methods.registry import method_specs
 from ..run.directory import RunDirectory
 from ..run.manifest import config_hash
 from ..volume.mesh_extraction import make_mesh
@@ -32,11 +33,12 @@ def mesh_run(
 ) -> MeshSummary:  # fmt: skip
     """Write the mesh of a finished map to `out` (default RUN/mesh.ply). Raises RunError, DataError.
 
-    The plain baseline is not cleaned by default: it is what a user of Open3D would get.
+    Without `clean` the method decides (`MethodSpec.clean_mesh`).
     """
     mapped = run.require_stage("map")
     if clean is None:
-        clean = mapped.facts.get("method") != "tsdf"
+        spec = method_specs().get(str(mapped.facts.get("method")))  # None: the package of the method is gone
+        clean = spec is None or spec.clean_mesh
     digest = config_hash(voxel_size_m, clean, max_sigma_m, mapped.config_hash, mapped.finished)
     path = out or run.mesh_path
     if out is None and run.is_current(STAGE, digest) and path.exists() and not overwrite:

@@ -70,7 +70,7 @@ def test_two_sensors_are_fused_by_the_networks_of_a_file(run, pair):
 def test_more_sensors_and_unknown_pairs_are_refused(run):
     three = uncle_map(run, "--sensors", "gt", "left", "right")
     assert three.exit_code == 1
-    assert "senfunet fuses one or two sensors" in three.stderr
+    assert "senfunet fuses at most 2 sensors" in three.stderr
     unknown = uncle_map(run, "--sensors", "left", "right")
     assert unknown.exit_code == 1
     assert "uncle pretrain senfunet DATASET --sensors left right" in unknown.stderr

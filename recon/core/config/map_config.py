@@ -6,13 +6,13 @@ import difflib
 import tomllib
 from typing import Any, Literal
 
-from pydantic import BaseModel, Field, ValidationError
+from pydantic import BaseModel, Field, SerializeAsAny, ValidationError, ValidationInfo, field_validator
 
 from ..errors import ConfigError
 from .base import Strict
 from .confidence import ConfidenceConfig
 from .nice import NiceConfig, NiceMappingConfig, NiceTrackingConfig
-from .presets import PRESETS
+from .presets import PLUGIN_MODELS, PRESETS
 from .senfunet import SenfunetConfig
 from .uncle import (
     FaultDetectionConfig,
@@ -29,9 +29,7 @@ from .vox import VoxConfig
 class MapConfig(Strict):
     """Everything that decides the result of `uncle map`."""
 
-    method: Literal["uncle", "uncle-paper", "nice-slam", "nice-slam-pre", "vox-fusion", "senfunet", "tsdf"] = Field(
-        "uncle", description="The preset; set by `--method`."
-    )
+    method: str = Field("uncle", description="The preset; set by `--method`.")
     sensors: tuple[str, ...] = Field(
         (), description="Sensors to use, empty: all but the ground truth; set by `--sensors`."
     )
@@ -55,6 +53,21 @@ class MapConfig(Strict):
     nice: NiceConfig = NiceConfig()
     nice_mapping: NiceMappingConfig = NiceMappingConfig()
     nice_tracking: NiceTrackingConfig = NiceTrackingConfig()
+    # settings of a method of another package, of the model that it brings (MethodSpec.settings)
+    plugin: SerializeAsAny[Strict] = Field(Strict(), validate_default=True)
+
+    @field_validator("method")
+    @classmethod
+    def _method_is_known(cls, method: str) -> str:
+        if method not in PRESETS:
+            raise ValueError(f"unknown method; known methods: {', '.join(PRESETS)}")
+        return method
+
+    @field_validator("plugin", mode="before")
+    @classmethod
+    def _plugin_settings_have_their_model(cls, value: Any, info: ValidationInfo) -> Any:
+        model = PLUGIN_MODELS.get(info.data.get("method", ""), Strict)
+        return model.model_validate({} if type(value) is Strict else value)
 
 
 def make_config(method: str, overrides: list[str], **top_level: Any) -> MapConfig:
@@ -65,8 +78,9 @@ def make_config(method: str, overrides: list[str], **top_level: Any) -> MapConfi
     if method not in PRESETS:
         raise ConfigError(f"unknown method {method!r}; known methods: {', '.join(PRESETS)}")
     values: dict[str, Any] = {"method": method, **{k: dict(v) for k, v in PRESETS[method].items()}, **top_level}
+    known = known_keys() | known_keys(PLUGIN_MODELS.get(method, Strict), "plugin.")
     for override in overrides:
-        _set(values, override)
+        _set(values, override, known)
     if values["method"] != method:
         raise ConfigError(f"--set method={values['method']}: a method is a preset, chosen with --method")
     try:
@@ -94,17 +108,16 @@ def to_toml(config: MapConfig) -> str:
     values = config.model_dump(mode="json")
     lines = [f"{key} = {_toml_value(value)}" for key, value in values.items() if not isinstance(value, dict)]
     for key, table in values.items():
-        if isinstance(table, dict):
+        if isinstance(table, dict) and table:
             lines += ["", f"[{key}]", *(f"{name} = {_toml_value(value)}" for name, value in table.items())]
     return "\n".join(lines) + "\n"
 
 
-def _set(values: dict[str, Any], override: str) -> None:
+def _set(values: dict[str, Any], override: str, known: dict[str, Any]) -> None:
     key, equals, text = override.partition("=")
     key = key.strip()
     if not equals:
         raise ConfigError(f"--set {override!r}: expected key=value, for example --set fusion.voxel_size_m=0.01")
-    known = known_keys()
     if key not in known:
         close = difflib.get_close_matches(key, known, n=1, cutoff=0.4)
         hint = f"; did you mean {close[0]}?" if close else f"; known keys: {', '.join(known)}"

@@ -7,7 +7,6 @@ import torch
 from torch import Tensor
 
 from ...core.config.map_config import MapConfig
-from ...core.errors import ConfigError
 from ...core.events import OnEvent, Progress, Warn, ignore, track_progress
 from ...core.frame import Frame
 from ...run.frames import RunFrames
@@ -54,16 +53,6 @@ def _compare_voxels(trained_m: float, wanted_m: float, on_event: OnEvent) -> Non
     if not 0.5 < wanted_m / trained_m < 2:
         text = f"the networks of senfunet were trained on voxels of {trained_m * 100:g} cm, not {wanted_m * 100:g} cm"
         on_event(Warn(f"{text}: `uncle pretrain senfunet --voxel {wanted_m:g}` makes better ones"))
-
-
-def require_pair(sensors: tuple[str, ...]) -> tuple[str, str] | None:
-    """The two sensors, or None for a single one. Raises ConfigError for more."""
-    if len(sensors) > 2:
-        raise ConfigError(
-            f"senfunet fuses one or two sensors, not {', '.join(sensors)}: its weighting network is of a pair; choose "
-            f"with --sensors {' '.join(sensors[:2])}"
-        )
-    return (sensors[0], sensors[1]) if len(sensors) == 2 else None
 
 
 class SenfunetVolume:

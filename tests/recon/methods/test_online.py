@@ -5,13 +5,13 @@ from functools import partial
 import numpy as np
 import pytest
 import torch
-from uncle.recon.core.config.map_config import make_config
 from uncle.recon.core.errors import DataError
 from uncle.recon.core.events import Progress
 from uncle.recon.core.tensor_files import load_tensors
 from uncle.recon.core.trajectory import Trajectory
-from uncle.recon.methods import registry as methods
 from uncle.recon.methods.online import Found
+from uncle.recon.methods.registry import method_spec, register_method, unregister_method
+from uncle.recon.methods.spec import MethodSpec
 from uncle.recon.run.checkpoint import Checkpoint
 from uncle.recon.run.frames import RunFrames
 from uncle.recon.run.tracking_record import TrackingRecord
@@ -88,13 +88,16 @@ class Plane:
 
 @pytest.fixture(autouse=True)
 def plane_system(monkeypatch):
-    monkeypatch.setitem(methods.ONLINE_METHODS, "uncle", Plane)
+    register_method(MethodSpec(name="plane", summary="a plane", kind="online", implementation=Plane))
     monkeypatch.setattr(map_stage, "Checkpoint", partial(Checkpoint, interval_s=0.0))
     calls.clear()
+    yield
+    unregister_method("plane")
 
 
 def settings(track: bool = False, **top_level):
-    return make_config("uncle", [f"tracking.enabled={str(track).lower()}"], sensors=("gt",), device="cpu", **top_level)
+    overrides = [f"tracking.enabled={str(track).lower()}"]
+    return method_spec("plane").configure(overrides, sensors=("gt",), device="cpu", **top_level)
 
 
 def results(run):

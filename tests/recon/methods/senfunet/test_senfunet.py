@@ -6,9 +6,9 @@ import torch
 from torch.nn.functional import conv2d, conv3d, pad
 from uncle.recon.core.camera import Camera
 from uncle.recon.core.errors import ConfigError
+from uncle.recon.methods.registry import method_spec
 from uncle.recon.methods.senfunet.blending import believed, fused_distance, weighting_inputs
 from uncle.recon.methods.senfunet.bricks import brick_samples, inner_part
-from uncle.recon.methods.senfunet.fuse import require_pair
 from uncle.recon.methods.senfunet.models import SHIPPED, SenfunetModel, shipped_pairs
 from uncle.recon.methods.senfunet.network import HALO, PARAMETERS, FeatureNetwork, WeightingNetwork
 from uncle.recon.methods.senfunet.sensor_grid import BORDER_PX, MAX_WEIGHT, SensorGrid, ray_samples
@@ -191,10 +191,11 @@ def test_wrong_files_are_named(model, tmp_path):
 
 
 def test_it_fuses_one_or_two_sensors():
-    assert require_pair(("sl",)) is None
-    assert require_pair(("sl", "sgm")) == ("sl", "sgm")
-    with pytest.raises(ConfigError, match=r"one or two sensors, not sl, sgm, tof.*--sensors sl sgm"):
-        require_pair(("sl", "sgm", "tof"))
+    spec = method_spec("senfunet")
+    spec.check_sensors(("sl",))
+    spec.check_sensors(("sl", "sgm"))
+    with pytest.raises(ConfigError, match=r"at most 2 sensors, not sl, sgm, tof.*--sensors sl sgm"):
+        spec.check_sensors(("sl", "sgm", "tof"))
 
 
 def test_the_package_brings_the_pairs_of_simulated_sensors():
