@@ -1,5 +1,7 @@
 # make demo    set up, reconstruct a small made-up room with two sensors, and say where the report is
 # make test    set up and run the tests
+# make check   set up and check what needs no run: lint, types, spelling, links, generated pages, unused code
+# make docs    write the generated pages of docs/
 #
 # On Linux pip fetches a PyTorch with GPU libraries (several GB). A smaller one can be chosen by its index:
 # make demo TORCH_INDEX=<address of the index of CPU builds>
@@ -13,7 +15,7 @@ BIN := $(VENV)/bin
 PIP := $(BIN)/python -m pip --disable-pip-version-check install --quiet -c constraints.txt
 STAMP := $(VENV)/.installed
 
-.PHONY: demo test test-slow lint docs system
+.PHONY: demo test test-slow check lint types spelling links generated unused docs system
 .DEFAULT_GOAL := test
 
 demo: $(STAMP)
@@ -26,9 +28,31 @@ test: $(STAMP)
 test-slow: $(STAMP)
 	$(BIN)/python -m pytest -m slow
 
+check: lint types spelling links generated unused
+
 lint: $(STAMP)
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
+
+# The folders are installed as uncle.recon, uncle.cli and uncle.datasets. mypy does not follow the import hook of an
+# editable install, so that it is given a folder `uncle` with links to them (mypy_path in pyproject.toml).
+types: $(STAMP)
+	@mkdir -p build/types/uncle
+	@for folder in recon cli datasets; do ln -sfn ../../../$$folder build/types/uncle/$$folder; done
+	$(BIN)/mypy
+
+spelling: $(STAMP)
+	$(BIN)/codespell
+
+links: $(STAMP)
+	$(BIN)/python docs/check_links.py
+
+generated: $(STAMP)
+	$(BIN)/python docs/generate_cli.py --check
+	$(BIN)/python docs/generate_config.py --check
+
+unused: $(STAMP)
+	$(BIN)/vulture
 
 docs: $(STAMP)
 	$(BIN)/python docs/generate_cli.py

@@ -222,7 +222,7 @@ def main() -> int:
     return 1 if failed else 0
 
 
-def _is_done(job: Job, record: Record, with_mesh: bool) -> bool:
+def _is_done(_: Job, record: Record, with_mesh: bool) -> bool:
     return record["with_mesh"] or not with_mesh
 
 

@@ -41,14 +41,18 @@ class LazyGroup(click.Group):
         self.lazy, self.prefix = lazy, prefix
 
     def list_commands(self, ctx: click.Context) -> list[str]:
+        """Names of the commands, in the order of the help."""
         return list(self.lazy)
 
     def get_command(self, ctx: click.Context, name: str) -> click.Command | None:
+        """Import the module of a command; None if there is no such command."""
         if name not in self.lazy:
             return None
-        return importlib.import_module(f".{self.prefix}{name}", __package__).command
+        command: click.Command = importlib.import_module(f".{self.prefix}{name}", __package__).command
+        return command
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        """Write the one-line helps, which need no import."""
         with formatter.section("Commands"):
             formatter.write_dl(list(self.lazy.items()))
 
@@ -72,10 +76,21 @@ class LazyGroup(click.Group):
             raise SystemExit(130) from interrupt
 
 
+def _show_version(ctx: click.Context, _: click.Parameter, is_wanted: bool) -> None:
+    if is_wanted and not ctx.resilient_parsing:
+        from ..recon import __version__
+
+        click.echo(f"uncle, version {__version__}")
+        ctx.exit()
+
+
 @click.group(
     cls=LazyGroup, lazy=COMMANDS, context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 110}
 )  # fmt: skip
-@click.version_option(package_name="uncle", prog_name="uncle")
+@click.option(
+    "--version", is_flag=True, expose_value=False, is_eager=True, callback=_show_version,
+    help="Show the version and exit.",
+)  # fmt: skip
 @click.option("-v", "--verbose", is_flag=True, help="Say more on stderr.")
 @click.option("-q", "--quiet", is_flag=True, help="Say only errors.")
 @click.pass_context

@@ -54,6 +54,7 @@ class SensorsCommand(click.Command):
     several: tuple[str, ...] = ("--sensors",)
 
     def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
+        """Repeat the flag before each of its values, then parse as usual."""
         has_positionals = any(isinstance(parameter, click.Argument) for parameter in self.params)
         return super().parse_args(ctx, expand_values(args, self.several, spare_paths=has_positionals))
 
@@ -94,12 +95,13 @@ def _is_path(token: str) -> bool:
     return any(mark in token for mark in ("/", ":", os.sep)) or (token not in KNOWN_SENSORS and os.path.exists(token))
 
 
-class FrameRange(click.ParamType):
+class FrameRange(click.ParamType[slice]):
     """`start:stop:step` as in a Python slice, with a positive step; a slice."""
 
     name = "range"
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> slice:
+        """Parse `start:stop:step`. Raises BadParameter."""
         if isinstance(value, slice):
             return value
         try:

@@ -12,7 +12,7 @@ from .options import run_option
 MODES = ["shaded", "color", "sigma", "error"]
 
 
-class SizeType(click.ParamType):
+class SizeType(click.ParamType[tuple[int, int]]):
     """Picture size `WIDTHxHEIGHT` in pixels."""
 
     name = "WxH"
@@ -20,6 +20,7 @@ class SizeType(click.ParamType):
     def convert(
         self, value: str | tuple[int, int], param: click.Parameter | None, ctx: click.Context | None
     ) -> tuple[int, int]:
+        """Parse `WIDTHxHEIGHT`. Raises BadParameter."""
         if isinstance(value, tuple):
             return value
         words = value.lower().split("x")

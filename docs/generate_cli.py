@@ -1,5 +1,6 @@
-"""Writes docs/cli.md from the help of every command. `make docs` runs it; a test compares."""
+"""Writes docs/cli.md from the help of every command; with `--check` it only compares. `make docs` runs it."""
 
+import sys
 from pathlib import Path
 
 import click
@@ -28,4 +29,6 @@ def render() -> str:
 
 
 if __name__ == "__main__":
+    if "--check" in sys.argv[1:]:
+        sys.exit(0 if PAGE.read_text() == render() else "docs/cli.md is out of date; run `make docs`")
     PAGE.write_text(render())

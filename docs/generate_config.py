@@ -1,6 +1,7 @@
-"""Writes docs/config.md from the models of the settings. `make docs` runs it; a test compares."""
+"""Writes docs/config.md from the models of the settings; with `--check` it only compares. `make docs` runs it."""
 
 import inspect
+import sys
 from itertools import groupby
 from pathlib import Path
 from typing import Any, Literal, get_args, get_origin
@@ -82,4 +83,6 @@ def _presets() -> str:
 
 
 if __name__ == "__main__":
+    if "--check" in sys.argv[1:]:
+        sys.exit(0 if PAGE.read_text() == render() else "docs/config.md is out of date; run `make docs`")
     PAGE.write_text(render())

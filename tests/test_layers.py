@@ -169,13 +169,18 @@ def test_the_library_neither_prints_nor_knows_click(path):
     assert not {module.split(".")[0] for module in modules} & {"click", "rich", "tqdm", "evo"}
 
 
+def is_private(name: str) -> bool:
+    """Whether a name begins with an underscore and is none of the language's own, such as `__version__`."""
+    return name.startswith("_") and not name.endswith("__")
+
+
 def private_imports(paths) -> set[str]:
     """`file: name` of every name with a leading underscore that a file takes from another module of the program."""
     found = set()
     for path in paths:
         for node in ast.walk(ast.parse((ROOT / path).read_text())):
             if isinstance(node, ast.ImportFrom) and (node.level or (node.module or "").startswith("uncle.")):
-                found |= {f"{path}: {a.name}" for a in node.names if a.name.startswith("_")}
+                found |= {f"{path}: {a.name}" for a in node.names if is_private(a.name)}
     return found
 
 

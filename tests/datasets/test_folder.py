@@ -203,7 +203,7 @@ def test_names_that_never_match_are_an_error_not_an_empty_sensor(write_folder):
 @pytest.mark.parametrize("number", [0, 1])
 def test_example_of_the_docs_is_a_valid_camera_file(write_folder, number):
     folder = write_folder()
-    example = re.findall(r"```json\n(.*?)```", DOCS.read_text(), re.S)[number]
+    example = re.findall(r"```json\n(.*?)```", DOCS.read_text(), re.DOTALL)[number]
     (folder / "camera.json").write_text(example)
     (folder / "timestamps.txt").write_text("1\n2\n3\n")
     assert open_dataset(folder).camera.width == 640

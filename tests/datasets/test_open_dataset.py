@@ -32,7 +32,7 @@ def test_each_format_is_recognised_by_its_folder(tmp_path, format):
 
 def test_every_format_is_described_in_the_docs():
     text = (Path(__file__).resolve().parents[2] / "docs" / "data-formats.md").read_text()
-    assert set(FORMATS) <= set(re.findall(r"^\| `([^`]+)`", text, re.M))
+    assert set(FORMATS) <= set(re.findall(r"^\| `([^`]+)`", text, re.MULTILINE))
 
 
 def test_unknown_layout_says_what_was_looked_for(tmp_path):
