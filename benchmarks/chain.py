@@ -11,10 +11,10 @@ from typing import NamedTuple
 
 from common import carry_out
 from uncle.recon.core.errors import UncleError
-from uncle.recon.evaluation.bench.methods import known_methods
 from uncle.recon.evaluation.bench.process import Record, evaluate, map_costs, new_run, sensor_options, uncle
 from uncle.recon.evaluation.bench.scores import scores
 from uncle.recon.evaluation.bench.tables import cell, markdown_table, ratio
+from uncle.recon.methods.registry import method_specs
 
 BASELINE = "tsdf"  # knows no seed: scored once, timed BASELINE_TIMES between the other runs
 BASELINE_TIMES = 3
@@ -110,7 +110,7 @@ def parse(arguments: list[str] | None = None) -> argparse.Namespace:
     for kind in (room, heldout):
         kind.add_argument("dataset", type=Path)
         kind.add_argument("--sensors", nargs="+", default=[""], help="sets of sensors, like: sl sgm sl+psmnet")
-        kind.add_argument("--methods", nargs="+", default=["tsdf", "uncle"], choices=known_methods())
+        kind.add_argument("--methods", nargs="+", default=["tsdf", "uncle"], choices=list(method_specs()))
         kind.add_argument("--seeds", type=int, default=1, help="number of seeds, from 0 [1]")
         kind.add_argument("--out", type=Path, default=Path("bench-out"), help="results and run directories [bench-out]")
     return parser.parse_args(arguments)

@@ -55,18 +55,19 @@ def command(
     uncle bench paper rooms/living_room --sensors sl psmnet sl+psmnet --seeds 5
     uncle bench paper synth:7 synth:8 --methods uncle uncle-paper nice-slam tsdf --settings given
     """
-    from ..recon.core.config.map_config import make_config
-    from ..recon.evaluation.bench.methods import known_methods
+    from ..recon.evaluation.bench.methods import Catalogue
     from ..recon.evaluation.bench.paper import Bench, run_paper
     from ..recon.evaluation.bench.paper_tables import DETAILS
     from ..recon.evaluation.bench.plan import Choice
     from ..recon.evaluation.bench.variants import variants_of_methods
+    from ..recon.methods.registry import method_spec, method_specs
 
-    chosen = methods or tuple(known_methods())
+    specs = method_specs()
+    chosen = methods or tuple(specs)
     variants = tuple(variants_of_methods(ablation))
-    choice = Choice(chosen, settings, sensors, seeds, overrides, protocol, device, variants)
+    choice = Choice(chosen, settings, sensors, seeds, overrides, protocol, device, variants, Catalogue(specs))
     for method in chosen:
-        make_config(method, list(choice.overrides_of(method)))  # an unknown method or setting is told at once
+        method_spec(method).configure(list(choice.overrides_of(method)))  # an unknown method or setting is told at once
     bench = Bench(out, jobs, keep_runs, frames)
     tables, failed = run_paper(bench, datasets, choice, listener(ctx))
     click.echo("\n\n".join(table.markdown() for table in tables if table.title != DETAILS))

@@ -10,6 +10,8 @@ from uncle.cli.main import main
 from uncle.datasets.synth.write import make_dataset
 from uncle.recon.core.errors import RunError
 from uncle.recon.evaluation.bench import paper, process
+from uncle.recon.evaluation.bench.methods import Catalogue
+from uncle.recon.methods.registry import method_specs
 
 
 def bench(*arguments):
@@ -105,7 +107,7 @@ def test_wrong_arguments_are_told_before_anything_runs(tmp_path, arguments, mess
 
 def test_options_of_a_job_are_those_of_the_command(tmp_path):
     job = paper.Job("room", "sl+sgm", "depth", "uncle", "mine", 3, ("b=2",), 0, "abc")
-    choice = paper.Choice(("uncle",), overrides=("a=1",), device="cpu")
+    choice = paper.Choice(("uncle",), overrides=("a=1",), device="cpu", catalogue=Catalogue(method_specs()))
     words = " ".join(paper.map_options(job, choice))
     assert words == (
         "--overwrite --method uncle --track --no-color --sensors sl sgm --seed 3 --device cpu --set a=1 --set b=2"

@@ -1,36 +1,53 @@
-"""Which methods there are, and which of them cannot do what."""
+"""What the benchmark knows of the methods: facts that the caller hands in, and the comparisons of the paper."""
 
 from __future__ import annotations
 
-from ...core.config.presets import PRESETS
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+from typing import Protocol
 
 BASELINE = "tsdf"  # every time is also given as a multiple of its time
-UNWEIGHTED = "nice-slam"  # the paper's system with unit weights: what its uncertainty is tested against
-_ORDER = ("uncle", "uncle-paper", UNWEIGHTED, "nice-slam-pre", "vox-fusion", "senfunet", BASELINE)
-_GIVEN_ONLY = {"senfunet": "it fuses with given poses and has no tracker"}
-_SEEDLESS = frozenset({BASELINE, "senfunet"})  # nothing is drawn with given poses: one run says all
-# The paper's depth-only rows know no colour, in mapping neither; what else a method does in a setting
-_SETTINGS = {("depth", method): ("nice.color=false",) for method in ("uncle-paper", UNWEIGHTED, "nice-slam-pre")}
+UNWEIGHTED = "nice-slam"  # the paper's system with unit weights, the reference of its uncertainty
 
 
-def known_methods() -> list[str]:
-    """Every preset, in the order of the tables."""
-    return sorted(PRESETS, key=lambda name: (_ORDER.index(name) if name in _ORDER else len(_ORDER), name))
+class MethodFacts(Protocol):
+    """The part of `recon.methods.spec.MethodSpec` that the benchmark reads."""
+
+    @property
+    def is_deterministic(self) -> bool: ...
+
+    @property
+    def bench_given_only(self) -> str: ...
+
+    @property
+    def bench_settings(self) -> Mapping[str, tuple[str, ...]]: ...
 
 
-def why_not(method: str, setting: str) -> str | None:
-    """Why a table has no figures for `method` in this setting; None if it can do it."""
-    return _GIVEN_ONLY.get(method) if setting != "given" else None
+@dataclass(frozen=True)
+class Catalogue:
+    """Facts by method, in the order of the tables. A method without facts can do everything and draws at random."""
 
+    facts: Mapping[str, MethodFacts] = field(default_factory=dict)
 
-def settings_of(method: str, setting: str) -> tuple[str, ...]:
-    """What `method` is told in this setting beside the options of all methods; a user's --set comes after it."""
-    return _SETTINGS.get((setting, method), ())
+    def in_order(self, names: Iterable[str]) -> list[str]:
+        """`names` without repetition, in the order of the tables."""
+        order = list(self.facts)
+        return sorted(set(names), key=lambda name: (order.index(name) if name in order else len(order), name))
 
+    def why_not(self, method: str, setting: str) -> str | None:
+        """Why a table has no figures for `method` in this setting; None if it can do it."""
+        if setting == "given" or method not in self.facts:
+            return None
+        return self.facts[method].bench_given_only or None
 
-def runs_of(method: str, setting: str, seeds: int) -> int:
-    """How many seeds are worth running."""
-    return 1 if method in _SEEDLESS and setting == "given" else seeds
+    def settings_of(self, method: str, setting: str) -> tuple[str, ...]:
+        """Settings (KEY=VALUE) of `method` in this setting of the benchmark; a user's --set comes after them."""
+        return self.facts[method].bench_settings.get(setting, ()) if method in self.facts else ()
+
+    def runs_of(self, method: str, setting: str, seeds: int) -> int:
+        """The number of seeds to run: one where nothing is drawn at random."""
+        deterministic = method in self.facts and self.facts[method].is_deterministic
+        return 1 if deterministic and setting == "given" else seeds
 
 
 def tested_pairs(methods: list[str]) -> list[tuple[str, str]]:

@@ -15,7 +15,7 @@ from pathlib import Path
 from ...core.errors import ConfigError, UncleError
 from ...core.events import Note, OnEvent, Warn, ignore
 from ...core.files import write_text
-from . import methods, process, scores
+from . import process, scores
 from .paper_tables import Failures, paper_tables, statistics_json
 from .plan import SETTINGS, Choice, Job, Scene, is_done, plan, scene_name, synth_arguments, with_timing
 from .process import Record
@@ -126,7 +126,7 @@ def execute(job: Job, bench: Bench, choice: Choice, scenes: dict[str, Scene]) ->
 def map_options(job: Job, choice: Choice) -> list[str]:
     """Options of `uncle map` of one job, but for its run."""
     hold_out = ["--hold-out", str(job.hold_out)] if job.hold_out else []
-    texts = (*methods.settings_of(job.method, job.setting), *choice.overrides_of(job.method), *job.settings)
+    texts = (*choice.catalogue.settings_of(job.method, job.setting), *choice.overrides_of(job.method), *job.settings)
     settings = [word for text in texts for word in ("--set", text)]
     return [
         "--overwrite", "--method", job.method, *SETTINGS[job.setting][1], *process.sensor_options(job.sensors),

@@ -40,7 +40,7 @@ def paper_tables(scenes: Sequence[Scene], choice: Choice, records: Iterable[Reco
         )
         if (table := _scene_table(scenes, choice, setting, count, scored, failures)).rows
     ]
-    tables += [_tests(scored), _trust(scored), _costs(plain), _ablation(records), _details(scored)]
+    tables += [_tests(scored), _trust(choice, scored), _costs(plain), _ablation(records), _details(scored)]
     return [table for table in tables if table.rows or table.notes]
 
 
@@ -76,7 +76,7 @@ def _scene_table(
     for dataset, sensors in _columns(scenes, choice, setting, count):
         for method in _methods(choice, records):
             group = (dataset, sensors, setting, method)
-            found, remarks = samples.get(group, {}), _remarks(group, failures)
+            found, remarks = samples.get(group, {}), _remarks(choice, group, failures)
             if not found and not remarks:
                 continue
             marks = [_mark(notes, f"{method}: {remark}") for remark in remarks]
@@ -109,13 +109,12 @@ def _columns(scenes: Sequence[Scene], choice: Choice, setting: str, count: int) 
 
 def _methods(choice: Choice, records: list[Record]) -> list[str]:
     """In the usual order, also those of earlier calls."""
-    there = {*choice.methods, *(record["method"] for record in records)}
-    return [method for method in methods.known_methods() if method in there]
+    return choice.catalogue.in_order([*choice.methods, *(record["method"] for record in records)])
 
 
-def _remarks(group: tuple[str, str, str, str], failures: Failures) -> list[str]:
+def _remarks(choice: Choice, group: tuple[str, str, str, str], failures: Failures) -> list[str]:
     dataset, _, setting, method = group
-    reason = methods.why_not(method, setting)
+    reason = choice.catalogue.why_not(method, setting)
     if reason is not None and dataset != ALL_SCENES:
         return [reason]
     return failures.get(group, [])
@@ -200,7 +199,7 @@ def _by_sensor(records: Iterable[Record]) -> list[Record]:
     ]
 
 
-def _trust(records: list[Record]) -> Table:
+def _trust(choice: Choice, records: list[Record]) -> Table:
     """How far the stated beta of each sensor is right."""
     found: dict[tuple[str, ...], list[Record]] = {}
     for record in _by_sensor(records):
@@ -210,7 +209,7 @@ def _trust(records: list[Record]) -> Table:
         for group, members in found.items()
     ]
     header = ["data set", "mapped", "setting", "method", "sensor", "runs", *(metric.heading for metric in scores.TRUST)]
-    without = [m for m in methods.known_methods() if m in {r["method"] for r in records} - {g[3] for g in found}]
+    without = choice.catalogue.in_order({r["method"] for r in records} - {group[3] for group in found})
     note = (
         "Likelihoods and AUSE are better when lower. Without a row, because they state no uncertainty or none could be "
     )

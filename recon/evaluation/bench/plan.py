@@ -6,7 +6,7 @@ import hashlib
 import json
 import re
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from itertools import combinations
 from pathlib import Path
 from typing import NamedTuple
@@ -63,7 +63,10 @@ class Scene:
 
 @dataclass(frozen=True)
 class Choice:
-    """What a user may choose. `sensors` empty: every one and pairs; `variants` are jobs of the ablation beside."""
+    """What a user may choose. `sensors` empty: every one and pairs; `variants` are jobs of the ablation beside.
+
+    `catalogue` holds the facts of all methods, also of those that are not chosen.
+    """
 
     methods: tuple[str, ...]
     settings: tuple[str, ...] = tuple(SETTINGS)
@@ -73,6 +76,7 @@ class Choice:
     protocol: str = "standard"
     device: str = "auto"
     variants: tuple[Variant, ...] = ()
+    catalogue: methods.Catalogue = field(default_factory=methods.Catalogue)
 
     def overrides_of(self, method: str) -> Settings:
         """Those of every method and its own, as `uncle map --set` takes them."""
@@ -81,7 +85,7 @@ class Choice:
             name, _, setting = override.partition(":")
             if name == method:
                 found.append(setting)
-            elif name not in methods.known_methods():
+            elif name not in self.catalogue.facts:
                 found.append(override)  # a plain one; a wrong name is then told by whoever reads the settings
         return tuple(found)
 
@@ -139,7 +143,8 @@ def _turn(scene: Scene, choice: Choice, setting: str, sensors: str, seed: int) -
     entries = [
         (method, "", ())
         for method in choice.methods
-        if not methods.why_not(method, setting) and seed < methods.runs_of(method, setting, choice.seeds)
+        if not choice.catalogue.why_not(method, setting)
+        and seed < choice.catalogue.runs_of(method, setting, choice.seeds)
     ]
     entries += choice.variants
     return [

@@ -4,7 +4,6 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from uncle.recon.core.config.presets import PRESETS
 from uncle.recon.core.errors import ConfigError
 from uncle.recon.evaluation.bench import methods
 from uncle.recon.evaluation.bench.plan import (
@@ -18,11 +17,13 @@ from uncle.recon.evaluation.bench.plan import (
     with_timing,
 )
 from uncle.recon.evaluation.bench.variants import variants_of_methods
+from uncle.recon.methods.registry import method_specs
 
 ROOM = Scene("room", Path("room"), "senfunet", ("sl", "sgm", "psmnet"), True, True, 130, "abc")
 FILM = Scene("film", Path("film"), "tum", ("depth",), False, True, 99, "def")
 PHONE = Scene("phone", Path("phone"), "folder", ("depth",), False, False, 50, "ghi")
-BOTH = Choice(("uncle", "tsdf"), seeds=2)
+CATALOGUE = methods.Catalogue(method_specs())
+BOTH = Choice(("uncle", "tsdf"), seeds=2, catalogue=CATALOGUE)
 
 
 def test_every_sensor_and_the_papers_pairs_are_taken_by_default():
@@ -56,16 +57,21 @@ def test_without_poses_there_is_nothing_with_given_poses():
 
 
 def test_a_method_is_not_asked_for_what_it_cannot_do():
-    jobs = plan([ROOM], Choice(("senfunet",), sensors=("sl+psmnet",)))
+    jobs = plan([ROOM], replace(BOTH, methods=("senfunet",), sensors=("sl+psmnet",)))
     assert {job.setting for job in jobs} == {"given"}
-    assert "tracker" in methods.why_not("senfunet", "rgbd")
+    assert "tracker" in CATALOGUE.why_not("senfunet", "rgbd")
+    assert CATALOGUE.why_not("senfunet", "given") is None
 
 
-def test_every_preset_is_a_method_and_the_known_ones_come_in_order():
-    known = methods.known_methods()
-    assert set(known) == set(PRESETS)
-    assert known[0] == "uncle"
-    assert known.index("uncle") < known.index("tsdf")
+def test_tables_list_methods_in_the_order_of_the_registry_and_strangers_last():
+    assert CATALOGUE.in_order(["stranger", "tsdf", "uncle", "tsdf"]) == ["uncle", "tsdf", "stranger"]
+
+
+def test_a_method_without_facts_can_do_everything_and_draws_at_random():
+    assert CATALOGUE.why_not("stranger", "rgbd") is None
+    assert CATALOGUE.runs_of("stranger", "given", 3) == 3
+    assert CATALOGUE.settings_of("stranger", "depth") == ()
+    assert CATALOGUE.settings_of("nice-slam", "depth") == ("nice.color=false",)
 
 
 def test_the_papers_pair_is_tested_first():
