@@ -18,6 +18,7 @@ from torch import Tensor
 from ..core.camera import Camera
 from ..core.config.uncle import FaultDetectionConfig
 from ..core.frame import Frame
+from ..core.se3 import rotation_angle
 
 Verdict = Literal["ok", "missing", "frozen", "inconsistent"]
 
@@ -198,8 +199,8 @@ def repeats(depth: Tensor, earlier: Tensor) -> bool:
 def image_motion(first: np.ndarray, second: np.ndarray, depth_m: float, camera: Camera) -> float:
     """About how many pixels the image at `depth_m` moves between two T_world_camera (4, 4)."""
     step = np.linalg.inv(first) @ second
-    turn = float(np.arccos(np.clip((np.trace(step[:3, :3]) - 1) / 2, -1, 1)))
-    return max(camera.fx, camera.fy) * (turn + float(np.linalg.norm(step[:3, 3])) / depth_m)
+    angle = float(rotation_angle(step))
+    return camera.max_focal_px * (angle + float(np.linalg.norm(step[:3, 3])) / depth_m)
 
 
 def _same_share(first: Tensor, second: Tensor) -> float:

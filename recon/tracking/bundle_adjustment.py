@@ -17,7 +17,7 @@ from scipy import sparse
 from scipy.linalg import cho_factor, cho_solve
 
 from ..core.camera import Camera
-from ..core.se3 import cross_matrix, inverse, moved, transform
+from ..core.se3 import apply_motion, cross_matrix, inverse, transform
 from .pose_graph_edges import PoseEdges, linearise_edges
 
 PIXEL_SCALE = 2.0  # residuals, in sigmas, beyond which an observation loses influence (Cauchy)
@@ -94,7 +94,7 @@ def adjust(
     now = _linearise(camera, poses, points, observations, share, edges)
     for _ in range(iterations):
         step_poses, step_points = _solve(now, observations, edges, free_poses, free_points, damping)
-        new_poses, new_points = moved(poses, step_poses), points + step_points
+        new_poses, new_points = apply_motion(poses, step_poses), points + step_points
         then = _linearise(camera, new_poses, new_points, observations, share, edges)
         if not then.cost < now.cost:  # also where it is not a number
             damping *= 10

@@ -103,11 +103,7 @@ def surface_view(
     best = np.argmin(sigmas, axis=0)[None]
     depth, sigma = (np.take_along_axis(np.stack(images), best, 0)[0] for images in (depths, sigmas))
     normal = np.take_along_axis(np.stack([prepared.normals[s] for s in frame.depths]), best[..., None], 0)[0]
-    height, width = depth.shape
-    thinned = Camera(
-        width, height, camera.fx / prepared.stride, camera.fy / prepared.stride, camera.cx / prepared.stride,
-        camera.cy / prepared.stride,
-    )  # fmt: skip
+    thinned = camera.strided(prepared.stride)
     return SurfaceView(thinned, thinned.rays().numpy() * depth[..., None], normal, sigma)
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from ..core.camera import Camera
-from ..core.se3 import angle, exceeds, inverse, transform
+from ..core.se3 import exceeds, inverse, rotation_angle, transform
 from .bundle_adjustment import Observations, adjust, covariances, without_outliers
 from .frame_to_frame import SurfaceView, align_views
 from .landmarks import NONE, FrameFeatures, Landmarks, observations_of, seen_at_least
@@ -136,7 +136,7 @@ class KeyframeGraph:
         """Measure the motion between the surfaces of a keyframe and of others that look the same way."""
         for other in others:
             between = inverse(self.frames[other].pose) @ self.frames[newest].pose
-            if angle(between) > _SAME_VIEW_RAD:
+            if rotation_angle(between) > _SAME_VIEW_RAD:
                 continue
             found = align_views(self.views[other], self.views[newest], between)
             if found is not None:
@@ -291,6 +291,6 @@ class KeyframeGraph:
     def _near(self, pose: np.ndarray, count: int) -> list[int]:
         """Keyframes that look from about the same place into about the same direction."""
         between = inverse(pose) @ np.stack([self.frames[k].pose for k in self.keyframes])
-        apart = np.linalg.norm(between[:, :3, 3], axis=1) + angle(between)
+        apart = np.linalg.norm(between[:, :3, 3], axis=1) + rotation_angle(between)
         order = np.argsort(apart)[:count]
         return [self.keyframes[i] for i in order if apart[i] < 0.8]

@@ -11,7 +11,7 @@ from dataclasses import replace
 import numpy as np
 
 from ..core.camera import Camera
-from ..core.se3 import motion_between, moved
+from ..core.se3 import apply_motion, motion_between
 from .bundle_adjustment import Observations, adjust, residuals, robust_weights, without_outliers
 
 AROUND = ((-1, 1), (-2, 2), (-2, -1), (1, 2))  # pairs of neighbours that tell where a frame between or beside them is
@@ -67,7 +67,7 @@ def expectations(poses: np.ndarray, times: np.ndarray) -> np.ndarray:
         near = (np.abs(times[a] - times[here]) <= NEAR) & (np.abs(times[b] - times[here]) <= NEAR)
         here, a, b = here[near], a[near], b[near]
         share = (times[here] - times[a]) / (times[b] - times[a])
-        expected[n, here] = moved(poses[a], share[:, None] * motion_between(poses[a], poses[b]))
+        expected[n, here] = apply_motion(poses[a], share[:, None] * motion_between(poses[a], poses[b]))
     return expected
 
 

@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 
 from ..core.camera import Camera
-from ..core.se3 import inverse, motion_between, moved
+from ..core.se3 import apply_motion, inverse, motion_between
 from .bundle_adjustment import Observations, residuals, robust_weights
 
 MIN_INLIERS = 12
@@ -43,7 +43,7 @@ def minimise(pose: np.ndarray, terms: Sequence[Term], iterations: int = 10) -> t
         scale = np.diag(now.information)
         normal = now.information + np.diag(damping * scale + 1e-9 * scale.max() + 1e-12)
         step = -np.linalg.solve(normal, now.gradient)
-        new_pose = moved(pose, step)
+        new_pose = apply_motion(pose, step)
         then = _total(new_pose, terms)
         if then.cost < now.cost:
             pose, now, damping = new_pose, then, max(damping / 10, 1e-9)

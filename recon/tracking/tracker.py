@@ -14,7 +14,7 @@ import torch
 from ..core.camera import Camera
 from ..core.config.uncle import TrackingConfig
 from ..core.frame import Frame
-from ..core.se3 import angle, exceeds, inverse, motion_between, moved, transform
+from ..core.se3 import apply_motion, exceeds, inverse, motion_between, rotation_angle, transform
 from ..run.tracking_record import Status, TrackedFrame, TrackingRecord
 from ..sensors.noise_model import NoiseModel
 from ..volume.tsdf_volume import TsdfVolume
@@ -105,7 +105,7 @@ class AlignTracker:
             return None
         steady = bool(self.graph.frames) and not self._lost
         motion = found.shown @ motion_between(self._last.pose, found.pose) if steady else np.zeros(6)
-        self._velocity = moved(np.eye(4), motion)
+        self._velocity = apply_motion(np.eye(4), motion)
         self._lost = False
         frame_features.pose = found.pose
         frame_features.landmark[found.rows] = found.numbers
@@ -297,7 +297,11 @@ class AlignTracker:
             depth, lost_sight = view.points[view.valid][:, 2], False
         step = inverse(self.graph.frames[self.graph.keyframes[-1]].pose) @ frame_features.pose
         shift = np.linalg.norm(step[:3, 3]) / np.median(depth)
-        return lost_sight or angle(step) > config.keyframe_rotation_rad or shift > config.keyframe_translation_ratio
+        return (
+            lost_sight
+            or rotation_angle(step) > config.keyframe_rotation_rad
+            or shift > config.keyframe_translation_ratio
+        )
 
     def _note(self, frame: Frame, status: Status, found: _Found | None) -> None:
         covariance = None

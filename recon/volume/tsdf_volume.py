@@ -187,7 +187,7 @@ class TsdfVolume:
         radius = half * 3**0.5
         centres = self.grid.blocks.float() * self.grid.block_size_m + half
         u, v, z = self.camera.project(centres @ T_camera_world[:3, :3].T + T_camera_world[:3, 3])
-        reach = radius * max(self.camera.fx, self.camera.fy) / z.clamp(min=MIN_Z_M)
+        reach = radius * self.camera.max_focal_px / z.clamp(min=MIN_Z_M)
         seen = (u > -reach) & (u < self.camera.width + reach) & (v > -reach) & (v < self.camera.height + reach)
         seen &= (z > -radius) & (z < self.max_depth_m + self.truncation_m + radius)
         usable = torch.where(depth < self.max_depth_m, depth, 0.0)[None, None]

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 from uncle.recon.core.camera import Camera
-from uncle.recon.core.se3 import inverse, moved, transform
+from uncle.recon.core.se3 import apply_motion, inverse, transform
 from uncle.recon.tracking.bundle_adjustment import Observations
 from uncle.recon.tracking.keyframe_graph import KeyframeGraph
 from uncle.recon.tracking.landmarks import FrameFeatures
@@ -29,7 +29,7 @@ class Scene:
         rng = np.random.default_rng(7)
         motions = rng.uniform(-1, 1, (len(self.poses), 6)) * np.repeat([shift_m, turn_rad], 3)
         motions[0] = 0
-        return moved(self.poses, motions), self.points + rng.uniform(-point_m, point_m, self.points.shape)
+        return apply_motion(self.poses, motions), self.points + rng.uniform(-point_m, point_m, self.points.shape)
 
     @property
     def free(self) -> np.ndarray:
@@ -44,7 +44,7 @@ def make_scene():
     def make(cameras: int = 4, points: int = 60, lying: float = 0.0, lie_m: float = 0.5) -> Scene:
         rng = np.random.default_rng(3)
         world = rng.uniform([-1.0, -0.8, 2.0], [1.0, 0.8, 3.5], (points, 3))
-        poses = moved(np.eye(4), rng.uniform(-1, 1, (cameras, 6)) * np.repeat([0.25, 0.08], 3))
+        poses = apply_motion(np.eye(4), rng.uniform(-1, 1, (cameras, 6)) * np.repeat([0.25, 0.08], 3))
         camera, point = (index.ravel() for index in np.indices((cameras, points)))
         local = transform(inverse(poses[camera]), world[point])
         uv = local[:, :2] / local[:, 2:] * [CAMERA.fx, CAMERA.fy] + [CAMERA.cx, CAMERA.cy]

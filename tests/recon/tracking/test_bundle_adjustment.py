@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from scipy.optimize import least_squares
-from uncle.recon.core.se3 import angle, inverse, moved
+from uncle.recon.core.se3 import apply_motion, inverse, rotation_angle
 from uncle.recon.tracking.bundle_adjustment import (
     DEPTH_SCALE,
     PIXEL_SCALE,
@@ -48,7 +48,7 @@ def shrunk(r: np.ndarray, scale: float) -> np.ndarray:
 
 def shifts_and_turns(poses, true) -> tuple[float, float]:
     off = inverse(true) @ poses
-    return float(np.abs(off[:, :3, 3]).max()), float(angle(off).max())
+    return float(np.abs(off[:, :3, 3]).max()), float(rotation_angle(off).max())
 
 
 def test_residuals_vanish_at_the_truth_and_holes_have_none(make_scene):
@@ -80,7 +80,10 @@ def test_jacobians_against_differences(make_scene, of):
     for axis in range(analytic.shape[-1]):
         step = np.zeros(analytic.shape[-1])
         step[axis] = STEP
-        ends = [(moved(T, np.tile(s * step, (len(T), 1))), X) if of == "motion" else (T, X + s * step) for s in (1, -1)]
+        ends = [
+            (apply_motion(T, np.tile(s * step, (len(T), 1))), X) if of == "motion" else (T, X + s * step)
+            for s in (1, -1)
+        ]
         ahead, behind = (residuals(scene.camera, *end, seen)[0] for end in ends)
         np.testing.assert_allclose(analytic[..., axis], (ahead - behind) / (2 * STEP), rtol=1e-5, atol=1e-4)
 
@@ -178,7 +181,7 @@ def test_agrees_with_dense_least_squares(make_scene):
 
     def at(x):
         steps = np.concatenate([np.zeros((1, 6)), x[:12].reshape(2, 6)])
-        return moved(poses, steps), points + x[12:].reshape(-1, 3)
+        return apply_motion(poses, steps), points + x[12:].reshape(-1, 3)
 
     def robust(x):  # their squares are the robust cost; signed, so that derivatives are smooth
         r, _, _ = all_residuals(scene, *at(x))
@@ -203,7 +206,7 @@ def test_one_step_is_that_of_the_dense_normal_equations(make_scene):
     normal = J.T @ (J * root[:, None] ** 2)
     normal += np.diag(1e-4 * np.diag(normal) + 1e-9)  # the damping of a first step
     step = -np.linalg.solve(normal, J.T @ (root**2 * r.ravel()))
-    poses = moved(start[0][1:], step[:12].reshape(2, 6))
+    poses = apply_motion(start[0][1:], step[:12].reshape(2, 6))
     np.testing.assert_allclose(found.poses[1:], poses, atol=1e-10)
     np.testing.assert_allclose(found.points, start[1] + step[12:].reshape(-1, 3), atol=1e-10)
 

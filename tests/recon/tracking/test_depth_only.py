@@ -11,7 +11,7 @@ import torch
 from uncle.recon.core.config.uncle import TrackingConfig
 from uncle.recon.core.frame import Frame
 from uncle.recon.core.normals import normals, smooth_depth
-from uncle.recon.core.se3 import angle, inverse, motion_between, moved
+from uncle.recon.core.se3 import apply_motion, inverse, motion_between, rotation_angle
 from uncle.recon.tracking.depth_only import align_to_tsdf, coarse_to_fine_icp, expectation, track_from_keyframe
 from uncle.recon.tracking.frame_to_frame import SurfaceView
 from uncle.recon.tracking.frame_to_model import Readings
@@ -103,7 +103,7 @@ def steps(room, step_m: float, count: int = 9) -> list[np.ndarray]:
     """Sideways from a standstill by `step_m` and 2 degrees a frame."""
     poses = [room.pose(CORNER, (1.4, 1.3, 1.2))]
     for _ in range(count):
-        poses.append(moved(poses[-1], np.array([step_m, 0.0, 0.0, 0.0, -0.035, 0.0])))
+        poses.append(apply_motion(poses[-1], np.array([step_m, 0.0, 0.0, 0.0, -0.035, 0.0])))
     return poses
 
 
@@ -134,7 +134,7 @@ def test_a_lost_camera_is_found_at_a_keyframe(box_room):
 )
 def test_before_a_plain_wall_no_motion_along_it_is_invented(box_room, shift_m, most_m):
     """Noise makes the camera wander along the wall a little when it comes nearer, but not as on a way."""
-    poses = [moved(np.eye(4), np.array([*(i * np.array(shift_m)), 0.0, 0.0, 0.0])) for i in range(10)]
+    poses = [apply_motion(np.eye(4), np.array([*(i * np.array(shift_m)), 0.0, 0.0, 0.0])) for i in range(10)]
     depths = [np.full((120, 160), 1.8) - pose[2, 3] for pose in poses]
     result = follow(box_room, depths, poses[0])
     assert set(result.statuses[1:]) == {"weak"}
@@ -158,11 +158,11 @@ def test_a_view_draws_from_far(box_room):
     """20 cm and 6 degrees: the truncation band is 8 cm."""
     true = box_room.pose(CORNER)
     keyframe = (view_of(box_room, depth_of(box_room, true)), true)
-    away = moved(true, np.array([0.15, -0.08, 0.1, 0.05, 0.08, -0.03]))
+    away = apply_motion(true, np.array([0.15, -0.08, 0.1, 0.05, 0.08, -0.03]))
     view = view_of(box_room, depth_of(box_room, away))
     found = coarse_to_fine_icp(keyframe, view, true, expectation(true, true))
     assert np.linalg.norm((inverse(away) @ found)[:3, 3]) < 0.01
-    assert angle(inverse(away) @ found) < 0.01
+    assert rotation_angle(inverse(away) @ found) < 0.01
 
 
 @pytest.fixture(scope="module")
@@ -205,14 +205,14 @@ def test_being_sure_takes_more(mapped):
 def test_a_standstill_is_tried_after_the_expected_motion(box_room, mapped):
     volume, readings, pose, depth = mapped
     keyframe = (view_of(box_room, depth), pose)
-    away = moved(pose, np.array([0.0, 0.0, -30.0, 0.0, 0.0, 0.0]))
+    away = apply_motion(pose, np.array([0.0, 0.0, -30.0, 0.0, 0.0, 0.0]))
     candidates = list(track_from_keyframe(volume, readings, keyframe[0], keyframe, pose, away))
     assert len(candidates) == 1
     assert np.abs(motion_between(pose, candidates[0].pose)).max() < 0.01
 
 
 def test_the_longer_lost_the_less_is_expected():
-    start, off = np.eye(4), moved(np.eye(4), np.array([0.3, 0.0, 0.0, 0.0, 0.0, 0.0]))
+    start, off = np.eye(4), apply_motion(np.eye(4), np.array([0.3, 0.0, 0.0, 0.0, 0.0, 0.0]))
     costs = [expectation(start, start, lost)(off).cost for lost in (0, 2, 5, 10, 100)]
     assert costs[0] > costs[1] > costs[2] > costs[3] == costs[4]
 
@@ -225,7 +225,7 @@ def test_a_way_round_the_room_is_closed_without_features(box_room):
     pose = truth[0]
     for index, true in enumerate(truth):
         if index:
-            pose = moved(graph.frames[-1].pose @ inverse(truth[index - 1]) @ true, drift)
+            pose = apply_motion(graph.frames[-1].pose @ inverse(truth[index - 1]) @ true, drift)
         empty = np.zeros((0, 1))
         frame_features = FrameFeatures(
             index, pose, np.zeros((0, 2)), np.zeros(0), empty, empty, empty, np.zeros((0, 1, 0), np.float32),

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from uncle.recon.core.camera import Camera
-from uncle.recon.core.se3 import angle, inverse, motion_between, moved
+from uncle.recon.core.se3 import apply_motion, inverse, motion_between, rotation_angle
 from uncle.recon.tracking.frame_to_frame import SurfaceView, align_views, view_residuals, view_term
 from uncle.recon.tracking.pose_estimation import minimise
 
@@ -38,18 +38,20 @@ def test_residuals_vanish_at_the_truth(pair):
 
 def test_a_residual_is_the_distance_in_sigmas_of_both():
     target, source = plane(), plane()
-    r, jacobian = view_residuals(target, source, moved(np.eye(4), np.array([0.0, 0.0, 0.02, 0.0, 0.0, 0.0])))
+    r, jacobian = view_residuals(target, source, apply_motion(np.eye(4), np.array([0.0, 0.0, 0.02, 0.0, 0.0, 0.0])))
     np.testing.assert_allclose(r, -0.02 / np.hypot(0.01, 0.01), rtol=1e-5)
     np.testing.assert_allclose(jacobian[:, :3], np.tile([0.0, 0.0, -1 / np.hypot(0.01, 0.01)], (len(r), 1)), atol=1e-9)
 
 
 def test_jacobian_against_differences(pair):
     target, source, true = pair
-    T = moved(true, 0.3 * OFF)
+    T = apply_motion(true, 0.3 * OFF)
     r, jacobian = view_residuals(target, source, T, 1e6)
     step = 1e-7  # almost no point changes its pixel
     for axis in range(6):
-        ahead, behind = (view_residuals(target, source, moved(T, s * step * np.eye(6)[axis]), 1e6)[0] for s in (1, -1))
+        ahead, behind = (
+            view_residuals(target, source, apply_motion(T, s * step * np.eye(6)[axis]), 1e6)[0] for s in (1, -1)
+        )
         assert len(ahead) == len(behind) == len(r)
         close = np.abs((ahead - behind) / (2 * step) - jacobian[:, axis]) < 1e-3 * np.abs(jacobian[:, axis]).max()
         assert close.mean() > 0.99
@@ -57,22 +59,22 @@ def test_jacobian_against_differences(pair):
 
 def test_a_corner_gives_the_motion(pair):
     target, source, true = pair
-    found, information = align_views(target, source, moved(true, OFF))
+    found, information = align_views(target, source, apply_motion(true, OFF))
     off = inverse(true) @ found
     assert np.linalg.norm(off[:3, 3]) < 1e-3
-    assert angle(off) < 1e-3
+    assert rotation_angle(off) < 1e-3
     assert np.linalg.eigvalsh(information).min() > 0
 
 
 def test_the_target_may_stand_anywhere(pair):
     target, source, true = pair
-    anywhere = moved(np.eye(4), np.array([3.0, -2.0, 1.0, 0.4, 2.0, -0.3]))
-    found, _ = minimise(anywhere @ moved(true, OFF), [view_term(target, anywhere, source, 15.0)], 20)
+    anywhere = apply_motion(np.eye(4), np.array([3.0, -2.0, 1.0, 0.4, 2.0, -0.3]))
+    found, _ = minimise(anywhere @ apply_motion(true, OFF), [view_term(target, anywhere, source, 15.0)], 20)
     assert np.abs(motion_between(anywhere @ true, found)).max() < 1e-3
 
 
 def test_along_a_plane_nothing_moves():
-    start = moved(np.eye(4), np.array([0.03, -0.02, 0.04, 0.0, 0.0, 0.02]))
+    start = apply_motion(np.eye(4), np.array([0.03, -0.02, 0.04, 0.0, 0.0, 0.02]))
     found, information = align_views(plane(), plane(), start)
     motion = motion_between(np.eye(4), found)
     assert abs(motion[2]) < 1e-4
@@ -93,7 +95,7 @@ def test_information_is_less_where_the_surfaces_fit_worse():
 def test_views_that_do_not_fit_are_refused(box_room, pair):
     target, source, true = pair
     assert align_views(target, view(box_room, box_room.pose(CORNER + np.pi)), inverse(np.eye(4))) is None
-    assert align_views(target, source, moved(true, np.array([0.0, 0.0, 0.6, 0.0, 0.0, 0.0]))) is None
+    assert align_views(target, source, apply_motion(true, np.array([0.0, 0.0, 0.6, 0.0, 0.0, 0.0]))) is None
     empty = SurfaceView(source.camera, source.points, source.normals, np.full(source.sigma.shape, np.inf))
     assert align_views(target, empty, true) is None
     assert align_views(empty, source, true) is None

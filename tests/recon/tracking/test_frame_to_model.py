@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
-from uncle.recon.core.se3 import angle, inverse, motion_between, moved, transform
+from uncle.recon.core.se3 import apply_motion, inverse, motion_between, rotation_angle, transform
 from uncle.recon.tracking.frame_to_model import (
     COLOR_SIGMA,
     LEAST_SCALE,
@@ -68,7 +68,7 @@ def wall() -> tuple[np.ndarray, np.ndarray]:
 @pytest.mark.parametrize("color", [False, True])
 def test_jacobian_against_differences(box_room, corner, color):
     """With sigmas that do not change: the derivative is of the distance alone (as in any Gauss-Newton)."""
-    pose = moved(box_room.pose(CORNER), OFF)
+    pose = apply_motion(box_room.pose(CORNER), OFF)
     taken = readings(box_room, box_room.pose(CORNER), color)
     taken = replace(taken, beta=torch.full_like(taken.beta, 1e-6))
     corner_sums = corner.sums.clone()
@@ -77,7 +77,9 @@ def test_jacobian_against_differences(box_room, corner, color):
     assert len(r) > 300 * (1 + color)
     step = 2e-4
     for axis in range(6):
-        ahead, behind = (surface_residuals(corner, taken, moved(pose, s * step * np.eye(6)[axis]))[0] for s in (1, -1))
+        ahead, behind = (
+            surface_residuals(corner, taken, apply_motion(pose, s * step * np.eye(6)[axis]))[0] for s in (1, -1)
+        )
         assert len(ahead) == len(behind) == len(r)
         change = ((ahead - behind) / (2 * step)).numpy()
         if color:  # the median of the colours, which is no part of the derivative, moves all by the same
@@ -100,10 +102,12 @@ def test_residuals_at_the_truth_are_small_and_known(box_room, corner):
 @pytest.mark.parametrize("color", [False, True])
 def test_a_corner_brings_the_camera_back(box_room, corner, color):
     true = box_room.pose(CORNER)
-    found, information = minimise(moved(true, OFF), [surface_term(corner, readings(box_room, true, color, 4))], 30)
+    found, information = minimise(
+        apply_motion(true, OFF), [surface_term(corner, readings(box_room, true, color, 4))], 30
+    )
     off = inverse(true) @ found
     assert np.linalg.norm(off[:3, 3]) < 1e-3
-    assert angle(off) < 1e-3
+    assert rotation_angle(off) < 1e-3
     assert np.linalg.eigvalsh(information).min() > 0
 
 
@@ -111,7 +115,7 @@ def test_along_a_plane_nothing_moves(box_room, wall):
     pose, depth = wall
     volume = fused(box_room, [pose] * 2, [depth] * 2)
     taken = readings(box_room, pose, False, depth=depth)
-    start = moved(pose, np.array([0.03, -0.02, 0.04, 0.0, 0.0, 0.02]))
+    start = apply_motion(pose, np.array([0.03, -0.02, 0.04, 0.0, 0.0, 0.02]))
     found, _ = minimise(start, [surface_term(volume, taken)], 20)
     motion = motion_between(pose, found)
     assert abs(motion[2]) < 1e-3  # what the plane tells
@@ -121,7 +125,7 @@ def test_along_a_plane_nothing_moves(box_room, wall):
 def test_colour_tells_the_motion_along_a_plane(box_room, wall):
     pose, depth = wall
     volume = fused(box_room, [pose] * 2, [depth] * 2)
-    start = moved(pose, np.array([0.03, -0.02, 0.02, 0.0, 0.0, 0.02]))
+    start = apply_motion(pose, np.array([0.03, -0.02, 0.02, 0.0, 0.0, 0.02]))
     found, _ = minimise(start, [surface_term(volume, readings(box_room, pose, True, 4, depth))], 30)
     assert np.abs(motion_between(pose, found)).max() < 4e-3
 
@@ -129,8 +133,8 @@ def test_colour_tells_the_motion_along_a_plane(box_room, wall):
 def test_leaving_the_map_does_not_pay(box_room, corner):
     true = box_room.pose(CORNER)
     term = surface_term(corner, readings(box_room, true, True))
-    away = moved(true, np.array([0.0, 0.0, -50.0, 0.0, 0.0, 0.0]))
-    assert term(away).cost > term(moved(true, 2 * OFF)).cost > term(true).cost
+    away = apply_motion(true, np.array([0.0, 0.0, -50.0, 0.0, 0.0, 0.0]))
+    assert term(away).cost > term(apply_motion(true, 2 * OFF)).cost > term(true).cost
     assert (term(away).information == 0).all()
     assert (term(away).gradient == 0).all()
 
@@ -140,7 +144,7 @@ def test_agreement_and_scale(box_room, corner):
     taken = readings(box_room, true, False, 4)
     assert agreement(corner, taken, true)[0] > 0.95
     assert agreement(corner, taken, true)[1] > 0.95
-    off = moved(true, np.array([0.0, 0.0, 0.1, 0.0, 0.0, 0.0]))
+    off = apply_motion(true, np.array([0.0, 0.0, 0.1, 0.0, 0.0, 0.0]))
     assert agreement(corner, taken, off)[1] < 0.5
     nothing = Readings(torch.zeros(0, 3), torch.zeros(0, 3), torch.zeros(0), None)
     assert agreement(corner, nothing, true) == (0.0, 0.0)
@@ -157,7 +161,7 @@ def test_compiled_lookup_is_that_of_tensors(box_room, corner):
     points = points + 0.1 * torch.randn(
         points.shape, generator=torch.Generator().manual_seed(2)
     )  # some are off the map
-    T = torch.from_numpy(moved(pose, OFF)).float()
+    T = torch.from_numpy(apply_motion(pose, OFF)).float()
     expected, found = query_torch(corner, points, T), query_numba(corner, points, T)
     assert 100 < len(expected.kept) < len(points) - 20
     assert torch.equal(found.kept, expected.kept)

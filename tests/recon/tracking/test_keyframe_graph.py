@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
-from uncle.recon.core.se3 import moved
+from uncle.recon.core.se3 import apply_motion
 from uncle.recon.tracking import keyframe_graph
 from uncle.recon.tracking.keyframe_graph import KeyframeGraph
 
@@ -15,7 +15,7 @@ def test_frames_between_keyframes_that_move_far_move_along_and_are_placed(make_s
     scene = make_scene(12)
     shift = np.repeat([0.0, 0.3, 0.6], 4) + np.where(np.isin(np.arange(12), KEYFRAMES), 0, 0.005)
     drift = shift[:, None] * np.array([1.0, 0, 0, 0, 0, 0])
-    graph = make_graph(scene.camera, moved(scene.poses, drift), scene.points, scene.observations, KEYFRAMES)
+    graph = make_graph(scene.camera, apply_motion(scene.poses, drift), scene.points, scene.observations, KEYFRAMES)
     adjust = KeyframeGraph._adjust
 
     def close(self, positions, free, iterations, free_points=True):

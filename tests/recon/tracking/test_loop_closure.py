@@ -5,7 +5,7 @@ import itertools
 import numpy as np
 import pytest
 from uncle.recon.core.camera import Camera
-from uncle.recon.core.se3 import angle, inverse, moved, transform
+from uncle.recon.core.se3 import apply_motion, inverse, rotation_angle, transform
 from uncle.recon.tracking.landmarks import NONE, FrameFeatures, Landmarks
 from uncle.recon.tracking.loop_closure import corrected_poses, recognise
 
@@ -48,13 +48,13 @@ def look(landmarks: Landmarks, numbers: np.ndarray, pose: np.ndarray, independen
 @pytest.mark.parametrize("keyframe", [10, 13, 14])
 def test_the_right_keyframe_is_found(world, keyframe):
     landmarks, candidates = world
-    true = moved(np.eye(4), np.array([0.2, -0.1, 0.1, 0.05, -0.1, 0.2]))
+    true = apply_motion(np.eye(4), np.array([0.2, -0.1, 0.1, 0.05, -0.1, 0.2]))
     view, found, numbers = look(landmarks, candidates[keyframe], true)
     place = recognise(CAMERA, view, found, candidates, landmarks, 0)
     assert place.keyframe == keyframe
     off = inverse(true) @ place.pose
     assert np.linalg.norm(off[:3, 3]) < 1e-3
-    assert angle(off) < 1e-3
+    assert rotation_angle(off) < 1e-3
     assert len(place.rows) > 0.9 * EACH
     assert (numbers[place.rows] == place.numbers).all()
 
@@ -81,14 +81,14 @@ def circle(count: int) -> np.ndarray:
     turn = np.array([0.0, 0.0, 0.0, 0.0, 2 * np.pi / count, 0.0])
     steps = [np.eye(4)]
     for _ in range(count - 1):
-        steps.append(moved(steps[-1], turn + np.eye(6)[2] * (4 * np.pi / count)))
+        steps.append(apply_motion(steps[-1], turn + np.eye(6)[2] * (4 * np.pi / count)))
     return np.stack(steps)
 
 
 def drifted(true: np.ndarray, each: np.ndarray) -> np.ndarray:
     poses = [true[0]]
     for before, after in itertools.pairwise(true):
-        poses.append(poses[-1] @ moved(inverse(before) @ after, each))
+        poses.append(poses[-1] @ apply_motion(inverse(before) @ after, each))
     return np.stack(poses)
 
 
@@ -120,7 +120,7 @@ def test_a_loop_straightens_a_circle():
 
 def test_a_wrong_loop_is_switched_off():
     true = circle(16)
-    wrong = inverse(true[2]) @ true[9] @ moved(np.eye(4), np.array([1.5, 0.4, -1.0, 0.0, 1.0, 0.0]))
+    wrong = inverse(true[2]) @ true[9] @ apply_motion(np.eye(4), np.array([1.5, 0.4, -1.0, 0.0, 1.0, 0.0]))
     found = corrected_poses(true, [(0, 15, inverse(true[0]) @ true[15]), (2, 9, wrong)])
     assert errors(found, true).max() < 0.02
 

@@ -2,7 +2,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from uncle.recon.core.se3 import inverse, moved, transform
+from uncle.recon.core.se3 import apply_motion, inverse, transform
 from uncle.recon.tracking.bundle_adjustment import Observations, adjust, residuals, robust_weights
 from uncle.recon.tracking.outlier_poses import expectations, nearest, pose_cost, reoptimise_outliers
 
@@ -14,8 +14,8 @@ FREE = np.ones(len(TIMES), bool)
 def walk(noise: float = 0.0) -> np.ndarray:
     poses = [np.eye(4)]
     for step in np.diff(TIMES):
-        poses.append(moved(poses[-1], step * SPEED))
-    return moved(np.stack(poses), np.random.default_rng(4).normal(0, noise or 1e-12, (len(TIMES), 6)))
+        poses.append(apply_motion(poses[-1], step * SPEED))
+    return apply_motion(np.stack(poses), np.random.default_rng(4).normal(0, noise or 1e-12, (len(TIMES), 6)))
 
 
 @pytest.fixture
@@ -49,7 +49,7 @@ def test_frames_far_away_tell_nothing():
 
 def test_a_wrong_neighbour_does_not_make_others_surprising():
     poses = walk()
-    poses[6] = moved(poses[6], np.array([0.0, 0.1, 0, 0, 0, 0]))
+    poses[6] = apply_motion(poses[6], np.array([0.0, 0.1, 0, 0, 0, 0]))
     found = nearest(poses, expectations(poses, TIMES))[:, 0]
     assert found[6] == pytest.approx(0.1, rel=0.02)
     assert np.delete(found, 6).max() < 2e-3
@@ -57,7 +57,7 @@ def test_a_wrong_neighbour_does_not_make_others_surprising():
 
 def test_costs_of_all_frames_are_the_whole_where_they_are_expected(seen):
     camera, poses, points, observations = seen
-    off = moved(poses, np.tile([0.01, 0, 0, 0, 0, 0], (len(poses), 1)))
+    off = apply_motion(poses, np.tile([0.01, 0, 0, 0, 0, 0], (len(poses), 1)))
     r, _, _ = residuals(camera, off[observations.camera], points[observations.point], observations)
     costs = []
     for frame, pose in enumerate(off):
@@ -72,7 +72,7 @@ def confused(seen):
     """The same, where half of what frame 6 sees was matched where it was thought to be, and its depth is missing."""
     camera, truth, points, observations = seen
     poses = truth.copy()
-    poses[6] = moved(truth[6], np.array([0.12, 0.0, 0, 0, 0.03, 0]))
+    poses[6] = apply_motion(truth[6], np.array([0.12, 0.0, 0, 0, 0.03, 0]))
     wrong = (observations.camera == 6) & (observations.point % 2 == 0)
     local = transform(inverse(poses[6])[None], points[observations.point[wrong]])
     uv = observations.uv.copy()
@@ -99,7 +99,7 @@ def test_a_frame_in_a_wrong_minimum_goes_back(confused):
 @pytest.mark.parametrize("common_px", [0.0, 3.0])
 def test_the_graph_puts_back_frames_between_keyframes(confused, make_graph, common_px):
     camera, truth, poses, points, mixed = confused
-    poses[4] = moved(poses[4], np.array([0.0, 0.1, 0, 0, 0, 0]))
+    poses[4] = apply_motion(poses[4], np.array([0.0, 0.1, 0, 0, 0, 0]))
     graph = make_graph(camera, poses, points, mixed, (0, 4, 8), common_px)
     graph._repair_outlier_poses()
     assert np.linalg.norm((inverse(truth[6]) @ graph.frames[6].pose)[:3, 3]) < 0.005
@@ -111,7 +111,7 @@ def test_the_graph_puts_back_frames_between_keyframes(confused, make_graph, comm
 def test_a_real_jerk_stays(seen, jerk_m, count):
     camera, poses, points, observations = seen
     poses = poses.copy()
-    poses[6] = moved(poses[6], np.array([jerk_m, 0.0, 0, 0, 0, 0]))
+    poses[6] = apply_motion(poses[6], np.array([jerk_m, 0.0, 0, 0, 0, 0]))
     local = transform(inverse(poses[observations.camera]), points[observations.point])
     uv = local[:, :2] / local[:, 2:] * [camera.fx, camera.fy] + [camera.cx, camera.cy]
     jerked = replace(observations, uv=uv, depths=local[:, 2:])
@@ -137,6 +137,6 @@ def test_few_frames_or_none_around_move_nothing(seen, count):
 def test_a_frame_without_readings_stays(seen):
     camera, poses, points, observations = seen
     poses = poses.copy()
-    poses[6] = moved(poses[6], np.array([0.5, 0.0, 0, 0, 0, 0]))
+    poses[6] = apply_motion(poses[6], np.array([0.5, 0.0, 0, 0, 0, 0]))
     blind = observations[observations.camera != 6]
     assert (reoptimise_outliers(camera, poses, TIMES, points, blind, FREE) == poses).all()

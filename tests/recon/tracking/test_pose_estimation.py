@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from uncle.recon.core.se3 import angle, inverse, motion_between, moved
+from uncle.recon.core.se3 import apply_motion, inverse, motion_between, rotation_angle
 from uncle.recon.tracking.pose_estimation import (
     MIN_INLIERS,
     Linearised,
@@ -18,13 +18,13 @@ OFF = np.array([0.1, -0.05, 0.08, 0.03, 0.05, -0.04])
 def assert_pose(found, true, shift_m: float = 1e-5, turn_rad: float = 1e-5) -> None:
     off = inverse(true) @ found
     assert np.linalg.norm(off[:3, 3]) < shift_m
-    assert angle(off) < turn_rad
+    assert rotation_angle(off) < turn_rad
 
 
 def test_features_bring_the_camera_back(make_scene):
     scene = make_scene(1)
     term = feature_term(scene.camera, scene.points, scene.observations)
-    found, information = minimise(moved(scene.poses[0], OFF), [term], 20)
+    found, information = minimise(apply_motion(scene.poses[0], OFF), [term], 20)
     assert_pose(found, scene.poses[0])
     np.testing.assert_allclose(information, term(found).information)
     assert np.linalg.eigvalsh(information).min() > 1
@@ -33,19 +33,19 @@ def test_features_bring_the_camera_back(make_scene):
 def test_features_with_wrong_readings_bring_the_camera_back(make_scene):
     scene = make_scene(1, 200, lying=0.4)
     term = feature_term(scene.camera, scene.points, scene.observations)
-    found, _ = minimise(moved(scene.poses[0], OFF), [term], 30)
+    found, _ = minimise(apply_motion(scene.poses[0], OFF), [term], 30)
     assert_pose(found, scene.poses[0], 0.002, 0.001)
 
 
 def test_a_prior_alone_is_the_answer():
-    expected = moved(np.eye(4), 3 * OFF)
+    expected = apply_motion(np.eye(4), 3 * OFF)
     found, information = minimise(np.eye(4), [prior_term(expected, 5 * np.eye(6))], 20)
     assert_pose(found, expected, 1e-4, 1e-4)
     np.testing.assert_allclose(information, 5 * np.eye(6))
 
 
 def test_two_beliefs_meet_by_their_information():
-    there = moved(np.eye(4), np.array([0.4, 0.0, 0.0, 0.0, 0.0, 0.0]))
+    there = apply_motion(np.eye(4), np.array([0.4, 0.0, 0.0, 0.0, 0.0, 0.0]))
     found, _ = minimise(np.eye(4), [prior_term(np.eye(4), np.eye(6)), prior_term(there, 3 * np.eye(6))], 20)
     np.testing.assert_allclose(motion_between(np.eye(4), found), [0.3, 0, 0, 0, 0, 0], atol=1e-5)
 
@@ -53,7 +53,7 @@ def test_two_beliefs_meet_by_their_information():
 def test_a_direction_that_no_term_sees_is_not_moved():
     """Only x is known to be off; z is known to be right, and all else is unknown."""
     information = np.diag([1e4, 0.0, 1e4, 0.0, 0.0, 0.0])
-    start = moved(np.eye(4), OFF * [1, 1, 0, 1, 1, 1])
+    start = apply_motion(np.eye(4), OFF * [1, 1, 0, 1, 1, 1])
     target = start.copy()
     target[:3, 3] -= 0.3 * start[:3, 0]
     found, _ = minimise(start, [prior_term(target, information)], 20)
@@ -68,7 +68,7 @@ def test_points_on_a_ray_do_not_turn_the_camera_about_it(make_scene):
     seen = type(scene.observations)(
         np.zeros(20, int), np.arange(20), uv, np.ones(20), points[:, 2:], np.full((20, 1), 0.01), np.ones(20)
     )
-    start = moved(np.eye(4), np.array([0.02, 0.01, 0.03, 0.0, 0.0, 0.5]))
+    start = apply_motion(np.eye(4), np.array([0.02, 0.01, 0.03, 0.0, 0.0, 0.5]))
     found, _ = minimise(start, [feature_term(scene.camera, points, seen)], 20)
     assert motion_between(np.eye(4), found)[5] == pytest.approx(0.5, abs=1e-3)
     assert abs(found[2, 3]) < 1e-3

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 from uncle.recon.core.camera import Camera
-from uncle.recon.core.se3 import inverse, motion_between, moved
+from uncle.recon.core.se3 import apply_motion, inverse, motion_between
 from uncle.recon.tracking.bundle_adjustment import Observations, adjust
 from uncle.recon.tracking.pose_graph_edges import PoseEdges, adjoint, edges_among, linearise_edges
 
@@ -14,7 +14,7 @@ STEP = 1e-6
 
 
 def true_poses(count: int) -> np.ndarray:
-    return moved(np.eye(4), np.random.default_rng(1).uniform(-1, 1, (count, 6)))
+    return apply_motion(np.eye(4), np.random.default_rng(1).uniform(-1, 1, (count, 6)))
 
 
 def edges_of(poses: np.ndarray, pairs: list[tuple[int, int]], information: np.ndarray) -> PoseEdges:
@@ -29,7 +29,7 @@ def solve(poses: np.ndarray, edges: PoseEdges) -> np.ndarray:
 
 def test_adjoint_moves_a_motion_to_other_axes():
     T_a_b, x = true_poses(2)[1], 1e-5 * np.array([1.0, -2.0, 3.0, 2.0, 1.0, -1.0])
-    in_a = motion_between(np.eye(4), T_a_b @ moved(np.eye(4), x) @ inverse(T_a_b))
+    in_a = motion_between(np.eye(4), T_a_b @ apply_motion(np.eye(4), x) @ inverse(T_a_b))
     np.testing.assert_allclose(adjoint(T_a_b) @ x, in_a, atol=1e-9)
     np.testing.assert_allclose(adjoint(T_a_b) @ adjoint(inverse(T_a_b)), np.eye(6), atol=1e-12)
 
@@ -38,12 +38,12 @@ def test_gradient_is_that_of_the_cost():
     poses, rng = true_poses(4), np.random.default_rng(2)
     root = rng.normal(size=(6, 6))
     edges = edges_of(poses, [(0, 1), (1, 2), (2, 3), (0, 3)], 30 * (root @ root.T + np.eye(6)))
-    poses = moved(poses, rng.uniform(-1e-3, 1e-3, (4, 6)))  # small: `off` is taken as linear in the motions
+    poses = apply_motion(poses, rng.uniform(-1e-3, 1e-3, (4, 6)))  # small: `off` is taken as linear in the motions
     differences = np.zeros((4, 6))
     for place in np.ndindex(4, 6):
         step = np.zeros((4, 6))
         step[place] = STEP
-        ahead, behind = (linearise_edges(moved(poses, sign * step), edges).cost for sign in (1, -1))
+        ahead, behind = (linearise_edges(apply_motion(poses, sign * step), edges).cost for sign in (1, -1))
         differences[place] = (ahead - behind) / (2 * STEP)
     gradient = 2 * linearise_edges(poses, edges).g
     assert np.abs(gradient).max() > 0.1
@@ -58,7 +58,7 @@ def test_second_derivatives_are_those_of_the_gradient():
     for place in np.ndindex(3, 6):
         step = np.zeros((3, 6))
         step[place] = 1e-5
-        change = linearise_edges(moved(poses, step), edges).g / 1e-5
+        change = linearise_edges(apply_motion(poses, step), edges).g / 1e-5
         camera, axis = place
         np.testing.assert_allclose(change[camera], found.U[camera][:, axis], atol=1e-3)
         for edge, (first, second) in enumerate([(0, 1), (1, 2)]):
@@ -69,7 +69,7 @@ def test_second_derivatives_are_those_of_the_gradient():
 def test_a_graph_without_contradiction_comes_back():
     true = true_poses(5)
     edges = edges_of(true, [(0, 1), (1, 2), (2, 3), (3, 4), (0, 4)], 100 * np.eye(6))
-    start = moved(true, np.random.default_rng(3).uniform(-0.1, 0.1, (5, 6)))
+    start = apply_motion(true, np.random.default_rng(3).uniform(-0.1, 0.1, (5, 6)))
     start[0] = true[0]
     np.testing.assert_allclose(solve(start, edges), true, atol=1e-4)
 
@@ -91,7 +91,7 @@ def test_an_edge_far_off_loses_its_influence():
     pairs = [(0, 1), (1, 2), (2, 3), (0, 2), (1, 3)]
     edges = edges_of(true, [*pairs, (0, 3)], 1e6 * np.eye(6))
     wrong = edges.T_first_second.copy()
-    wrong[-1] = moved(wrong[-1], np.full(6, 0.3))
+    wrong[-1] = apply_motion(wrong[-1], np.full(6, 0.3))
     found = solve(true, replace(edges, T_first_second=wrong))
     assert np.abs(motion_between(true, found)).max() < 0.003
 

@@ -5,7 +5,7 @@ import pytest
 import torch
 from uncle.recon.core.config.map_config import make_config
 from uncle.recon.core.frame import Frame
-from uncle.recon.core.se3 import moved
+from uncle.recon.core.se3 import apply_motion
 from uncle.recon.methods.nice.system import NiceSystem
 
 QUICK = [
@@ -49,7 +49,7 @@ def map_all(system: NiceSystem, frames, indices, last: int | None = None) -> lis
     found = []
     for index in indices:
         frame = frames[index]
-        pose = moved(frame.T_world_camera, np.array([0.02, 0, 0, 0, 0, 0]) * (index == 5))
+        pose = apply_motion(frame.T_world_camera, np.array([0.02, 0, 0, 0, 0, 0]) * (index == 5))
         found.append(system.map(frame, system.prepare(frame), pose, index == last))
     return found
 

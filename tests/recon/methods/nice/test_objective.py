@@ -8,7 +8,7 @@ import pytest
 import torch
 from uncle.recon.core.camera import Camera
 from uncle.recon.core.config.nice import NiceConfig, NiceTrackingConfig
-from uncle.recon.core.se3 import moved
+from uncle.recon.core.se3 import apply_motion
 from uncle.recon.methods.nice.objective import Picture, mapping_loss, tracking_loss
 from uncle.recon.methods.nice.poses import predicted, tidy, to_matrix, to_seven
 from uncle.recon.methods.nice.views import Rays
@@ -144,8 +144,8 @@ def test_with_a_patch_of_one_pixel_beta_is_that_of_the_pixel():
 
 
 def test_poses_and_their_prediction():
-    first = moved(np.eye(4), np.array([0.1, 0.2, -0.3, 0.3, -0.2, 0.1]))
-    step = moved(np.eye(4), np.array([0.01, 0.0, 0.02, 0.0, 0.05, 0.0]))
+    first = apply_motion(np.eye(4), np.array([0.1, 0.2, -0.3, 0.3, -0.2, 0.1]))
+    step = apply_motion(np.eye(4), np.array([0.01, 0.0, 0.02, 0.0, 0.05, 0.0]))
     longer = to_seven(first) * torch.tensor([3.0] * 4 + [1.0] * 3)
     np.testing.assert_allclose(tidy(to_matrix(longer[None])[0]), first, atol=1e-6)
     np.testing.assert_allclose(predicted([first, step @ first]), step @ step @ first, atol=1e-12)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 from uncle.recon.core.config.uncle import UncertaintyConfig
-from uncle.recon.core.se3 import moved
+from uncle.recon.core.se3 import apply_motion
 from uncle.recon.methods.uncle.fusion_log import LEVER_M, FusionLog
 from uncle.recon.sensors.noise_inputs import FEATURES
 from uncle.recon.sensors.noise_model import NoiseModel, Residuals
@@ -18,8 +18,8 @@ def models() -> dict[str, NoiseModel]:
 
 
 def pose(*motion: float) -> torch.Tensor:
-    start = moved(np.eye(4), np.array([1.0, 2.0, 3.0, 0.3, -2.0, 0.5]))
-    return torch.from_numpy(moved(start, np.array(motion))).float()
+    start = apply_motion(np.eye(4), np.array([1.0, 2.0, 3.0, 0.3, -2.0, 0.5]))
+    return torch.from_numpy(apply_motion(start, np.array(motion))).float()
 
 
 def test_moved_tells_who_went_too_far():
