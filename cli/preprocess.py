@@ -6,14 +6,20 @@ from pathlib import Path
 
 import click
 
+from ..datasets.registry import open_dataset, reader_specs
 from .console import listener
 from .options import FrameRange, SensorsCommand, overwrite_option, run_option, sensors_option
+
+
+def _format_help() -> str:
+    readers = "; ".join(f"{spec.name}: {spec.summary}" for spec in reader_specs().values())
+    return f"Layout of the data set; recognised if not given. {readers}."
 
 
 @click.command(cls=SensorsCommand)
 @click.argument("dataset", type=click.Path(path_type=Path))
 @run_option
-@click.option("--format", "format_name", metavar="NAME", help="Layout of the data set; recognised if not given.")
+@click.option("--format", "format_name", metavar="NAME", help=_format_help())
 @click.option("--frames", type=FrameRange(), metavar="START:STOP:STEP", help="Frames to take; all if not given.")
 @sensors_option("Depth sensors to take; all of the data set if not given.")
 @click.option("--lossless", is_flag=True, help="Store colour as PNG: exact, but slower and five times as large as JPG.")
@@ -34,13 +40,12 @@ def command(
     Frames that cannot be read are skipped and reported; the manifest of the run lists them. A run that is up to date
     is left as it is.
     """
-    from ..datasets import open_dataset
     from ..recon.core.events import Note
     from ..recon.run.directory import RunDirectory
     from ..recon.stages.preprocess import preprocess
 
     on_event = listener(ctx)
-    recording = open_dataset(dataset, format_name)
+    recording = open_dataset(dataset, format_name, on_event)
     summary = preprocess(
         recording,
         RunDirectory(run_path),

@@ -7,11 +7,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from ..datasets.recording import FileRecording
+    from ..recon.core.frame import Recording
     from ..recon.run.frames import RunFrames
 
 
-def open_sources(paths: Sequence[Path]) -> Iterator[tuple[str, FileRecording | RunFrames]]:
+def open_sources(paths: Sequence[Path]) -> Iterator[tuple[str, Recording | RunFrames]]:
     """Name and frames of each data set or run directory. Raises DataError, RunError."""
     from ..datasets import open_dataset
     from ..recon.run.directory import RunDirectory

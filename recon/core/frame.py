@@ -37,6 +37,7 @@ class Recording(Protocol):
     """
 
     name: str
+    format: str  # the name of the reader
     camera: Camera
     sensors: tuple[str, ...]
     has_poses: bool

@@ -5,7 +5,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from uncle.datasets import FORMATS, open_dataset, recognise
+from uncle.datasets import open_dataset, reader_specs, recognise
+from uncle.datasets.registry import ReaderSpec, register_reader, unregister_reader
 from uncle.recon.core.errors import DataError
 
 LAYOUTS = {
@@ -16,6 +17,8 @@ LAYOUTS = {
     "tum": ("rgb.txt", "depth.txt"),
     "scannet": ("frames/color/0.jpg", "frames/pose/0.txt"),
 }
+
+FORMATS = tuple(reader_specs())
 
 
 def touch(root: Path, *names: str) -> Path:
@@ -75,7 +78,61 @@ def test_forced_format_wins_over_recognition(write_folder, room):
     assert open_dataset(folder, "scannet").format == "scannet"
 
 
+class Bag:
+    """A reader as an object: of folders that hold a file `made.bag`."""
+
+    def __init__(self, recording=None, error=None):
+        self.recording, self.error = recording, error
+
+    def matches(self, path):
+        if self.error:
+            raise self.error
+        return (path / "made.bag").exists()
+
+    def read(self, path):
+        return self.recording
+
+
+@pytest.fixture
+def add_reader():
+    names = []
+
+    def add(name, reader):
+        register_reader(ReaderSpec(name, "made.bag", "bags", reader))
+        names.append(name)
+
+    yield add
+    for name in names:
+        unregister_reader(name)
+
+
+def test_a_reader_that_was_added_is_recognised_after_those_of_the_package(tmp_path, add_reader):
+    add_reader("bag", Bag(recording="the recording"))
+    touch(tmp_path, "made.bag")
+    assert recognise(tmp_path) == "bag"
+    assert open_dataset(tmp_path) == "the recording"
+    assert recognise(touch(tmp_path, *LAYOUTS["tum"])) == "tum"
+    assert open_dataset(tmp_path, "bag") == "the recording"
+
+
+def test_the_name_of_a_reader_is_taken_once(add_reader):
+    with pytest.raises(DataError, match="'tum' already"):
+        add_reader("tum", Bag())
+    with pytest.raises(DataError, match="not a reader that was added"):
+        unregister_reader("tum")
+
+
+def test_a_broken_reader_is_reported_and_costs_only_itself(tmp_path, add_reader):
+    add_reader("a-broken", Bag(error=RuntimeError("no such field")))
+    add_reader("bag", Bag())
+    events = []
+    assert recognise(touch(tmp_path, "made.bag"), events.append) == "bag"
+    assert [event.text for event in events] == ["skipped the reader 'a-broken': RuntimeError: no such field"]
+
+
 def test_names_of_the_formats_cost_no_heavy_import():
-    code = "import sys, uncle.datasets; print(uncle.datasets.FORMATS, 'torch' in sys.modules, 'cv2' in sys.modules)"
+    code = (
+        "import sys, uncle.datasets; print(uncle.datasets.reader_specs(), 'torch' in sys.modules, 'cv2' in sys.modules)"
+    )
     printed = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
     assert printed.strip().endswith("False False")
