@@ -1,6 +1,7 @@
 """Checks the relative links of the pages, with their anchors: python docs/check_links.py [PAGE ...].
 
-Without pages: README.md, CHANGELOG.md and other pages at the top, and all of docs/. Addresses on the web are not asked
+Without pages: README.md, CHANGELOG.md and other pages at the top, and all of docs/, examples/,
+benchmarks/ and .github/. Addresses on the web are not asked
 for, so that the check needs no network. The exit code is 1 if a link leads nowhere.
 """
 
@@ -25,6 +26,8 @@ def pages() -> list[Path]:
         *sorted(ROOT.glob("*.md")),
         *sorted((ROOT / "docs").rglob("*.md")),
         *sorted((ROOT / "examples").rglob("*.md")),
+        *sorted((ROOT / "benchmarks").rglob("*.md")),
+        *sorted((ROOT / ".github").rglob("*.md")),
     ]
 
 

@@ -1,8 +1,10 @@
-"""Documentation that cannot rot: links lead somewhere, commands parse, the reference is current."""
+"""Documentation that cannot rot: links lead somewhere, commands parse, references exist, the reference is current."""
 
+import ast
 import re
 import runpy
 import shlex
+from functools import cache
 from pathlib import Path
 
 import click
@@ -14,20 +16,49 @@ from uncle.recon.run.manifest import FrameRecord, Manifest, StageRecord
 
 ROOT = Path(__file__).parents[1]
 LINKS = runpy.run_path(str(ROOT / "docs" / "check_links.py"))
-PAGES = [ROOT / "README.md", ROOT / "CHANGELOG.md", *sorted((ROOT / "docs").glob("*.md"))]
+PAGES = sorted([*ROOT.glob("*.md"), *(ROOT / "docs").glob("*.md"), *(ROOT / "benchmarks").glob("*.md")])
+TEMPLATES = sorted((ROOT / ".github").rglob("*.md"))
+GENERATED = ("cli.md", "config.md")
+MAX_LINES = {"README.md": 120, "docs/results.md": 250}
+MAX_LINE_LENGTH = 120  # outside tables and code
+# Pages whose lines are still longer; this list only shrinks.
+LONG_LINES: set[str] = set()
+
+
+def of_page(path: Path) -> str:
+    return path.relative_to(ROOT).as_posix()
+
+
+@cache
+def names_in(path: Path) -> frozenset[str]:
+    """Functions, classes and module constants of a file; of a class also `Class.member`."""
+    names = set()
+    for node in ast.parse(path.read_text()).body:
+        if isinstance(node, ast.FunctionDef | ast.ClassDef):
+            names.add(node.name)
+        if isinstance(node, ast.ClassDef):
+            members = [child for child in node.body if isinstance(child, ast.FunctionDef)]
+            fields = [child for child in node.body if isinstance(child, ast.AnnAssign)]
+            names |= {f"{node.name}.{child.name}" for child in members}
+            names |= {f"{node.name}.{child.target.id}" for child in fields if isinstance(child.target, ast.Name)}
+        if isinstance(node, ast.Assign):
+            names |= {target.id for target in node.targets if isinstance(target, ast.Name)}
+        if isinstance(node, ast.AnnAssign) and isinstance(node.target, ast.Name):
+            names.add(node.target.id)
+    return frozenset(names)
 
 
 def fenced_commands() -> list[tuple[str, str]]:
     """(page, line) of every `uncle` command in a shell block."""
-    found = []
+    commands = []
     for page in PAGES:
         for block in re.findall(r"```sh\n(.*?)```", page.read_text(), flags=re.DOTALL):
             lines = block.replace("\\\n", " ").splitlines()
-            found += [(page.name, line.strip()) for line in lines if line.strip().startswith("uncle ")]
-    return found
+            commands += [(of_page(page), line.strip()) for line in lines if line.strip().startswith("uncle ")]
+    return commands
 
 
-@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+@pytest.mark.parametrize("page", [*PAGES, *TEMPLATES], ids=of_page)
 def test_links_lead_somewhere(page):
     assert list(LINKS["broken_links"](page)) == []
 
@@ -43,9 +74,51 @@ def test_links_to_absent_pages_and_headings_are_reported(tmp_path):
 
 
 def test_every_page_can_be_reached():
-    reachable = (ROOT / "README.md").read_text() + (ROOT / "docs" / "index.md").read_text()
+    index = (ROOT / "docs" / "index.md").read_text()
     for page in (ROOT / "docs").glob("*.md"):
-        assert page.name == "index.md" or f"{page.name})" in reachable
+        assert page.name == "index.md" or f"]({page.name})" in index
+
+
+@pytest.mark.parametrize("page", PAGES, ids=of_page)
+def test_referenced_code_exists(page):
+    """`path::name` in code spans: a function, class, member or constant of that file; `recon/...py` alone: the file."""
+    for path, name in re.findall(r"`([\w/.]+\.py)(?:::([\w.]+))?`", page.read_text()):
+        file = ROOT / path if "/" in path else None
+        if file is None:
+            continue
+        assert file.is_file(), f"{of_page(page)} refers to {path}"
+        assert not name or name in names_in(file), f"{of_page(page)}: {path} has no {name}"
+
+
+def test_the_method_and_the_architecture_refer_to_code():
+    for name in ("method.md", "architecture.md"):
+        assert len(re.findall(r"`[\w/.]+\.py::[\w.]+`", (ROOT / "docs" / name).read_text())) > 25
+
+
+def test_the_architecture_has_the_rooms_and_what_they_may_import():
+    """The table of docs/architecture.md equals that of tests/test_layers.py."""
+    rooms = runpy.run_path(str(ROOT / "tests" / "test_layers.py"))["ROOMS"]
+    rows = re.findall(r"^\| `(\w+)/` \|.*\| ([^|]*) \|$", (ROOT / "docs" / "architecture.md").read_text(), re.MULTILINE)
+    assert {room: set(re.findall(r"\w+", allowed)) - {"nothing"} for room, allowed in rows} == rooms
+
+
+@pytest.mark.parametrize("page", [page for page in PAGES if page.name not in GENERATED], ids=of_page)
+def test_pages_are_short_and_narrow(page):
+    text = page.read_text()
+    assert len(text.splitlines()) <= MAX_LINES.get(of_page(page), 500)
+    prose = re.sub(r"```.*?```", "", text, flags=re.DOTALL).splitlines()
+    long = [line for line in prose if len(line) > MAX_LINE_LENGTH and not line.startswith("|")]
+    assert bool(long) == (of_page(page) in LONG_LINES), long
+
+
+@pytest.mark.parametrize("page", PAGES, ids=of_page)
+def test_settings_and_scripts_in_commands_exist(page):
+    """The keys of `--set KEY=VALUE`, also with a method in front, and the programs that are run by Python."""
+    text = page.read_text()
+    for key in re.findall(r"--set [\"']?(?:[\w-]+:)?([a-z][\w.]*)=", text):
+        assert key in known_keys(), f"{of_page(page)} sets {key}"
+    for script in re.findall(r"python ((?:benchmarks|examples|docs)/\w+\.py)", text):
+        assert (ROOT / script).is_file(), f"{of_page(page)} runs {script}"
 
 
 def test_there_are_commands_to_check():
@@ -75,17 +148,7 @@ def test_every_setting_is_described():
     for key in known_keys():
         cells = [row.split("|") for row in rows if row.startswith(f"| `{key}` |")]
         assert len(cells) == 1, f"{key} is not in docs/config.md"
-        assert len(cells[0][-2].strip()) > 10, f"{key} has no description in recon/config.py"
-
-
-def test_the_method_page_names_functions_that_exist():
-    """`[file.py](../recon/file.py) `name`, `name`` in the table of docs/method.md."""
-    text = (ROOT / "docs" / "method.md").read_text()
-    named = re.findall(r"\(\.\./(recon/[\w/]+\.py)\),? ((?:`\w+`(?:, )?)+)", text)
-    assert len(named) > 12
-    for path, names in named:
-        for name in re.findall(r"\w+", names):
-            assert re.search(rf"(?:def|class) {name}\b", (ROOT / path).read_text()), f"{path} has no {name}"
+        assert len(cells[0][-2].strip()) > 10, f"{key} has no description in recon/core/config/"
 
 
 def test_every_file_of_a_run_is_described():

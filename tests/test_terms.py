@@ -1,0 +1,153 @@
+"""The code and the pages use the terms of the field: words of an earlier, private vocabulary must not return."""
+
+import re
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[1]
+HERE = Path(__file__).relative_to(ROOT)
+# Files still to be cleaned; this list only shrinks.
+PENDING: set[str] = {
+    "benchmarks/README.md",
+    "benchmarks/ablation.py",
+    "benchmarks/decoders.py",
+    "benchmarks/encoder_decoders.py",
+    "benchmarks/faults.py",
+    "datasets/poses.py",
+    "datasets/replica.py",
+    "datasets/scannet.py",
+    "datasets/senfunet.py",
+    "datasets/seven_scenes.py",
+    "datasets/synth/furniture.py",
+    "datasets/synth/path.py",
+    "datasets/synth/sensors.py",
+    "datasets/tum.py",
+    "docs/config.md",
+    "docs/method.md",
+    "recon/core/config/uncle.py",
+    "recon/core/frame.py",
+    "recon/core/normals.py",
+    "recon/evaluation/bench/methods.py",
+    "recon/evaluation/bench/process.py",
+    "recon/evaluation/bench/variants.py",
+    "recon/evaluation/depth_metrics.py",
+    "recon/evaluation/mesh_metrics.py",
+    "recon/evaluation/run_trajectory.py",
+    "recon/evaluation/sensor_summary.py",
+    "recon/evaluation/tracking_metrics.py",
+    "recon/methods/confidence/network.py",
+    "recon/methods/nice/decoders.py",
+    "recon/methods/nice/frustum.py",
+    "recon/methods/nice/grids.py",
+    "recon/methods/nice/keyframes.py",
+    "recon/methods/nice/mapper.py",
+    "recon/methods/nice/noise.py",
+    "recon/methods/nice/objective.py",
+    "recon/methods/nice/published_normals.py",
+    "recon/methods/nice/rays.py",
+    "recon/methods/nice/surface.py",
+    "recon/methods/nice/tracker.py",
+    "recon/methods/nice/weighting.py",
+    "recon/methods/online.py",
+    "recon/methods/pretrain/confidence.py",
+    "recon/methods/pretrain/cubes.py",
+    "recon/methods/pretrain/grids.py",
+    "recon/methods/pretrain/senfunet.py",
+    "recon/methods/senfunet/__init__.py",
+    "recon/methods/uncle/keyframes.py",
+    "recon/methods/uncle/mapper.py",
+    "recon/methods/uncle/method.py",
+    "recon/methods/uncle/pipeline.py",
+    "recon/methods/uncle/ray_batch.py",
+    "recon/methods/uncle/refinement.py",
+    "recon/methods/vox/losses.py",
+    "recon/methods/vox/model.py",
+    "recon/methods/vox/rendering.py",
+    "recon/methods/vox/sampling.py",
+    "recon/methods/vox/surface.py",
+    "recon/methods/vox/system.py",
+    "recon/methods/vox/tracking.py",
+    "recon/mvs/bias_correction.py",
+    "recon/mvs/bias_model.py",
+    "recon/mvs/cost_volume.py",
+    "recon/mvs/multi_view_consistency.py",
+    "recon/mvs/photometric_depth.py",
+    "recon/mvs/plane_sweep.py",
+    "recon/mvs/sensor_reliability.py",
+    "recon/sensors/fault_detection.py",
+    "recon/sensors/fault_record.py",
+    "recon/sensors/fusion_weights.py",
+    "recon/sensors/noise_model.py",
+    "recon/stages/map.py",
+    "recon/tracking/frame_to_model.py",
+    "recon/tracking/keyframe_graph.py",
+    "recon/tracking/tsdf_lookup.py",
+    "recon/visualization/offscreen.py",
+    "recon/visualization/uncertainty_table.py",
+    "recon/visualization/views.py",
+    "recon/volume/tsdf_volume.py",
+    "tests/datasets/test_clocks.py",
+    "tests/recon/evaluation/test_sensor_summary.py",
+    "tests/recon/methods/nice/test_noise.py",
+    "tests/recon/methods/uncle/test_mapper.py",
+    "tests/recon/methods/uncle/test_pipeline.py",
+    "tests/recon/methods/uncle/test_ray_batch.py",
+    "tests/recon/methods/uncle/test_refined_field.py",
+    "tests/recon/methods/uncle/test_refinement.py",
+    "tests/recon/methods/vox/test_vox_loss.py",
+    "tests/recon/mvs/test_bias_model.py",
+    "tests/recon/mvs/test_photometric_depth.py",
+    "tests/recon/mvs/test_sensor_reliability.py",
+    "tests/recon/sensors/test_fusion_weights.py",
+    "tests/recon/sensors/test_noise_prior.py",
+}
+SOURCES = ("recon", "cli", "datasets", "benchmarks", "examples", "tests", "docs", ".github")
+SUFFIXES = {".py", ".md", ".toml", ".yml", ".yaml", ".cff"}
+# The changelog's table of old and new names is the one place where old names have to stand.
+CHANGELOG_TABLE = re.compile(r"^\| old \| new \|$.*?\n\n", re.MULTILINE | re.DOTALL)
+BANNED = re.compile(r"witness(es)?|testimon(y|ies)|hears?|heard|worth|onlookers?|said|looks?")
+IN_TESTS = re.compile(r"witness(es)?|testimon(y|ies)|hears?|heard|worth|onlookers?")  # the others are no terms there
+CITED = "METHOD"  # a document that readers do not have
+# Plain English, the placeholder METHOD:KEY=VALUE of an option, and constants such as METHOD_NAMES.
+ALLOWED = re.compile(r"\blooks?[ -](up|for|at|like)\b|\blooked up\b|METHOD:KEY|\"METHOD\"|METHODS?_|_METHODS?\b")
+WORD = re.compile(r"[A-Z]?[a-z]+|[A-Z]+(?![a-z])")
+
+
+def files() -> list[Path]:
+    """Source files and pages, relative to the root."""
+    top = [path for path in ROOT.iterdir() if path.is_file() and path.suffix in SUFFIXES]
+    inner = [path for name in SOURCES for path in (ROOT / name).rglob("*") if path.suffix in SUFFIXES]
+    return sorted(path.relative_to(ROOT) for path in [*top, *inner] if path.relative_to(ROOT) != HERE)
+
+
+def banned_words(text: str, banned: re.Pattern[str] = BANNED) -> list[str]:
+    """`line: word` of each banned word; identifiers are split at underscores and capitals."""
+    problems = []
+    for number, line in enumerate(text.splitlines(), 1):
+        words = WORD.findall(ALLOWED.sub(" ", line))
+        problems += [f"{number}: {word}" for word in words if word == CITED or banned.fullmatch(word.lower())]
+    return problems
+
+
+def problems_of(path: Path) -> list[str]:
+    text = (ROOT / path).read_text()
+    if path.name == "CHANGELOG.md":
+        text = CHANGELOG_TABLE.sub("", text)
+    return banned_words(text, IN_TESTS if path.parts[0] == "tests" else BANNED)
+
+
+def test_the_check_splits_identifiers_and_reads_prose():
+    assert banned_words("x = ColorWitness(reading_worth)") == ["1: Witness", "1: worth"]
+    assert banned_words("as METHOD says, colour is heard") == ["1: METHOD", "1: heard"]
+    assert banned_words("lookup, look up, worthless, method, --set METHOD:KEY=VALUE, METHOD_OF") == []
+
+
+@pytest.mark.parametrize("path", [path for path in files() if path.as_posix() not in PENDING], ids=str)
+def test_terms_of_the_field(path):
+    assert problems_of(path) == [], f"{path}: CONTRIBUTING.md has the terms to use"
+
+
+@pytest.mark.parametrize("path", sorted(PENDING))
+def test_pending_files_are_not_clean_yet(path):
+    assert problems_of(Path(path)), f"{path} is clean: remove it from PENDING"
