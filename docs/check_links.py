@@ -1,7 +1,6 @@
 """Checks the relative links of the pages, with their anchors: python docs/check_links.py [PAGE ...].
 
-Without pages: README.md, CHANGELOG.md and other pages at the top, and all of docs/, examples/,
-benchmarks/ and .github/. Addresses on the web are not asked
+Without pages: those at the top and in docs/, examples/, benchmarks/ and .github/. Addresses on the web are not asked
 for, so that the check needs no network. The exit code is 1 if a link leads nowhere.
 """
 
