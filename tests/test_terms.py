@@ -9,7 +9,6 @@ ROOT = Path(__file__).parents[1]
 HERE = Path(__file__).relative_to(ROOT)
 # Files still to be cleaned; this list only shrinks.
 PENDING: set[str] = {
-    "benchmarks/README.md",
     "benchmarks/ablation.py",
     "benchmarks/decoders.py",
     "benchmarks/encoder_decoders.py",
@@ -24,11 +23,9 @@ PENDING: set[str] = {
     "datasets/synth/sensors.py",
     "datasets/tum.py",
     "docs/config.md",
-    "docs/method.md",
     "recon/core/config/uncle.py",
     "recon/core/frame.py",
     "recon/core/normals.py",
-    "recon/evaluation/bench/methods.py",
     "recon/evaluation/bench/process.py",
     "recon/evaluation/bench/variants.py",
     "recon/evaluation/depth_metrics.py",
