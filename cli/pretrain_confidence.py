@@ -64,6 +64,7 @@ def command(
         pairs.save(prepare)
         say(Note(f"{prepare}: {len(pairs)} frames of {pairs.sensor}; go on with --data {prepare}"))
         return
+    assert out is not None  # or one of the checks above had failed
     limit = math.inf if max_minutes is None else 60 * max_minutes
     settings = ConfidenceTraining(steps, batch, crop, accumulate, learning_rate, penalty, seed, limit)
     trained = train_confidence(pairs, settings, str(choose_device(device)), say)

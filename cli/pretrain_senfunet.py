@@ -77,6 +77,7 @@ def command(
         save_scenes(prepare, scenes)
         say(Note(f"{prepare}: {len(scenes)} scenes with {', '.join(sensors)}; go on with --data {prepare}"))
         return
+    assert out is not None  # or one of the checks above had failed
     limit = math.inf if max_minutes is None else 60 * max_minutes
     settings = SenfunetTraining(frames, accumulate, learning_rate, bricks, seed, limit)
     trained = train_senfunet(scenes, (sensors[0], sensors[1]), settings, str(choose_device(device)), say)

@@ -65,13 +65,19 @@ def command(
     from ..recon.run.directory import RunDirectory
     from ..recon.stages.snapshot import snapshot_file, snapshot_run
 
-    options = {"modes": modes or None, "size": size, "renderer": renderer, "on_event": listener(ctx)}
+    on_event = listener(ctx)
     run_is_given = ctx.get_parameter_source("run_path") is click.core.ParameterSource.COMMANDLINE
     if mesh is None or mesh.is_dir():
         run = RunDirectory(mesh or run_path)
-        sheets = snapshot_run(run, out or run.snapshots_path, reference, **options)
+        sheets = snapshot_run(
+            run, out or run.snapshots_path, reference, modes=modes or None, size=size, renderer=renderer,
+            on_event=on_event,
+        )  # fmt: skip
     else:
         folder = out or mesh.with_name(f"{mesh.stem}_snapshots")
-        sheets = snapshot_file(mesh, folder, RunDirectory(run_path) if run_is_given else None, reference, **options)
+        cameras_of = RunDirectory(run_path) if run_is_given else None
+        sheets = snapshot_file(
+            mesh, folder, cameras_of, reference, modes=modes or None, size=size, renderer=renderer, on_event=on_event
+        )
     for sheet in sheets:
         click.echo(str(sheet))

@@ -29,7 +29,10 @@ from .options import SensorsCommand, seed_option, sensors_option
 @seed_option
 @click.option("--overwrite", is_flag=True, help="Replace the data set in OUT.")
 @click.pass_context
-def command(ctx, out, mesh, up, frames, size, sensors, loops, seed, overwrite) -> None:
+def command(
+    ctx: click.Context, out: Path, mesh: Path | None, up: str, frames: int, size: int, sensors: tuple[str, ...],
+    loops: int, seed: int, overwrite: bool,
+) -> None:  # fmt: skip
     """Make a data set in OUT: stereo colour, exact depth, simulated depth sensors, poses and the true mesh.
 
     The room, its furniture and the hand-held path follow from the seed. docs/synth.md says what is simulated by what.

@@ -40,7 +40,7 @@ def read(path: Path) -> FileRecording:
     # counted from the outer edge of the first pixel, hence (width - 1) / 2 from its centre, which is our origin.
     default = Calibration(Camera(width, height, width / 2, width / 2, (width - 1) / 2, (height - 1) / 2))
     calibration, camera_notes = calibration_or(trajectory, default)
-    sensors = {_sensor_name(folder.name): list_files(folder) for folder in _depth_folders(trajectory)}
+    sensors = {sensor: list_files(folder) for sensor, folder in _depth_folders(trajectory).items()}
     poses = list_files(trajectory / "left_camera_matrix", (".txt",))
     entries = [
         Entry(
@@ -70,11 +70,20 @@ def _pose(path: Path | None) -> np.ndarray | None:
     return None if matrix is None else Z_UP_FROM_Y_UP @ matrix @ OPENGL_TO_OPENCV
 
 
-def _depth_folders(trajectory: Path) -> list[Path]:
-    """Known sensors in the order of the table above, then others by name; folders without images are no sensors."""
-    found = {folder.name: folder for folder in trajectory.iterdir() if folder.is_dir() and _sensor_name(folder.name)}
-    known = [found.pop(name) for name in SENSOR_OF_FOLDER if name in found]
-    return [folder for folder in known + sorted(found.values()) if list_files(folder)]
+def _depth_folders(trajectory: Path) -> dict[str, Path]:
+    """Sensor -> folder: known ones in the order of the table above, then others by name of folder.
+
+    Folders without images are no sensors.
+    """
+    folders = {folder.name: folder for folder in trajectory.iterdir() if folder.is_dir()}
+    ordered = [name for name in SENSOR_OF_FOLDER if name in folders]
+    ordered += sorted(folders.keys() - set(ordered))
+    sensors: dict[str, Path] = {}
+    for name in ordered:
+        sensor = _sensor_name(name)
+        if sensor and list_files(folders[name]):
+            sensors[sensor] = folders[name]
+    return sensors
 
 
 def _sensor_name(folder: str) -> str | None:

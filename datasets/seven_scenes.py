@@ -47,7 +47,7 @@ def read(path: Path) -> FileRecording:
         )
         for frame in frames
     ]
-    assumed = ()
+    assumed: tuple[str, ...] = ()
     if calibration is KINECT:
         what = "colour is registered to depth by a typical calibration of this data set"
         assumed = (f"{what}; a {CAMERA_FILE} states another",)

@@ -65,7 +65,7 @@ def table(b: Builder, f: Finishes, width: float, depth: float) -> None:
     b.box([width, depth, 0.04], [0, 0, 0.73], top)
     b.box([width - 0.16, depth - 0.16, 0.07], [0, 0, 0.675], wood)
     _legs(b, width - 0.06, depth - 0.06, 0.71, wood, 0.07)
-    b.lathe([[0.14, 0.07], [0.06, 0], [0, 0]], [-0.2 * width, 0.05, 0.752], f.paint(b.rng))
+    b.lathe([[0.14, 0.07], [0.06, 0.0], [0.0, 0.0]], [-0.2 * width, 0.05, 0.752], f.paint(b.rng))
     for angle in np.arange(3) * 2.1:
         b.ball(0.045, [-0.2 * width + 0.05 * np.cos(angle), 0.05 + 0.05 * np.sin(angle), 0.8], f.paint(b.rng))
     vase(b.placed(0.25 * width, -0.05, 0.75), f, 0.24)
@@ -97,15 +97,15 @@ def sofa(b: Builder, f: Finishes, width: float, depth: float) -> None:
     cloth = f.cloth(b.rng)
     b.box([width, depth, 0.3], [0, 0, 0.2], cloth)
     b.box([width, 0.22, 0.5], [0, depth / 2 - 0.11, 0.58], cloth)
-    for x in (-1, 1):
-        b.box([0.18, depth, 0.3], [x * (width / 2 - 0.09), 0, 0.47], cloth)
+    for side in (-1, 1):
+        b.box([0.18, depth, 0.3], [side * (width / 2 - 0.09), 0, 0.47], cloth)
     seats = max(1, round((width - 0.36) / 0.65))
     step = (width - 0.36) / seats
     for i in range(seats):
         x = -width / 2 + 0.18 + (i + 0.5) * step
         b.box([step - 0.02, depth - 0.24, 0.13], [x, -0.1, 0.415], cloth)
-    for x in (-1, 1)[: max(1, seats - 1)]:
-        b.ball(0.17, [x * (width / 2 - 0.38), 0.08, 0.6], f.cloth(b.rng), 0.85)
+    for side in (-1, 1)[: max(1, seats - 1)]:
+        b.ball(0.17, [side * (width / 2 - 0.38), 0.08, 0.6], f.cloth(b.rng), 0.85)
     _legs(b, width - 0.1, depth - 0.1, 0.06, f.metal)
 
 
@@ -113,8 +113,8 @@ def bookshelf(b: Builder, f: Finishes, width: float, depth: float, height: float
     """Open shelves with rows of books and a few objects."""
     wood, thick = f.wood(b.rng), 0.03
     b.box([width, 0.02, height], [0, depth / 2 - 0.01, height / 2], wood)
-    for x in (-1, 1):
-        b.box([thick, depth, height], [x * (width - thick) / 2, 0, height / 2], wood)
+    for side in (-1, 1):
+        b.box([thick, depth, height], [side * (width - thick) / 2, 0, height / 2], wood)
     levels = np.linspace(0.05, height - 0.02, 6)
     for z in levels:
         b.box([width - 2 * thick, depth - 0.02, thick], [0, -0.01, z], wood)

@@ -75,12 +75,14 @@ def _sky_light(normals: np.ndarray) -> np.ndarray:
     return np.repeat(value[:, None], 3, axis=1)
 
 
-def _visibility(raycaster, nodes: np.ndarray, light: Light, rng: np.random.Generator) -> np.ndarray:
+def _visibility(
+    raycaster: o3d.t.geometry.RaycastingScene, nodes: np.ndarray, light: Light, rng: np.random.Generator
+) -> np.ndarray:
     spots = light.center + rng.uniform(-1, 1, (_SHADOW_RAYS, 2)) @ light.half_axes
     return _unoccluded(raycaster, nodes, np.broadcast_to(spots, (len(nodes), *spots.shape)))
 
 
-def _unoccluded(raycaster, nodes: np.ndarray, targets: np.ndarray) -> np.ndarray:
+def _unoccluded(raycaster: o3d.t.geometry.RaycastingScene, nodes: np.ndarray, targets: np.ndarray) -> np.ndarray:
     """(N,) float32 share of the targets (N, T, 3) that a node (N, 3) sees."""
     starts = np.broadcast_to(nodes[:, None], targets.shape)
     rays = np.concatenate([starts, targets - starts], axis=-1).astype(np.float32)

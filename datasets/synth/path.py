@@ -69,16 +69,18 @@ class FreeSpace:
         return float(np.quantile(reach, 0.25))
 
 
-def _distance(raycaster, points: np.ndarray) -> np.ndarray:
-    return raycaster.compute_distance(o3d.core.Tensor(points)).numpy()
+def _distance(raycaster: o3d.t.geometry.RaycastingScene, points: np.ndarray) -> np.ndarray:
+    distances: np.ndarray = raycaster.compute_distance(o3d.core.Tensor(points)).numpy()
+    return distances
 
 
-def _cast(raycaster, origins: np.ndarray, directions: np.ndarray) -> np.ndarray:
+def _cast(raycaster: o3d.t.geometry.RaycastingScene, origins: np.ndarray, directions: np.ndarray) -> np.ndarray:
     rays = np.concatenate([origins, directions], axis=-1).astype(np.float32)
-    return raycaster.cast_rays(o3d.core.Tensor(rays))["t_hit"].numpy()
+    depths: np.ndarray = raycaster.cast_rays(o3d.core.Tensor(rays))["t_hit"].numpy()
+    return depths
 
 
-def _enclosed(raycaster, points: np.ndarray) -> np.ndarray:
+def _enclosed(raycaster: o3d.t.geometry.RaycastingScene, points: np.ndarray) -> np.ndarray:
     """(N,) bool: almost every way out of a point (N, 3) ends at a surface."""
     axes = np.array([[x, y, z] for x in (-1, 0, 1) for y in (-1, 0, 1) for z in (-1, 0, 1) if x or y or z], float)
     origins = np.repeat(points[:, None], len(axes), axis=1)
@@ -117,7 +119,9 @@ def _next_waypoint(free: FreeSpace, start: np.ndarray, rng: np.random.Generator)
     return None
 
 
-def _glance(free: FreeSpace, point: np.ndarray, yaw: float, reach, rng: np.random.Generator) -> tuple[float, float]:
+def _glance(
+    free: FreeSpace, point: np.ndarray, yaw: float, reach: tuple[float, float], rng: np.random.Generator
+) -> tuple[float, float]:
     """A direction (yaw, pitch) within `reach` radians of `yaw` that shows something from a distance."""
     best, best_view = (yaw, -0.2), -1.0
     for _ in range(5):
@@ -138,7 +142,7 @@ def _open(free: FreeSpace, frames: int, rng: np.random.Generator) -> np.ndarray 
         if goal is None:
             return None
         turn = -turn if rng.uniform() < 0.15 else turn
-        reach = sorted((turn * 0.6, turn * 1.8))
+        reach = (min(turn * 0.6, turn * 1.8), max(turn * 0.6, turn * 1.8))
         states.append(np.array([*goal, *_glance(free, goal, states[-1][3], reach, rng)]))
     curve = _curve(np.array(states))
     return _resample(curve, np.arange(frames, dtype=float), stretch=False)
@@ -148,12 +152,12 @@ def _looped(free: FreeSpace, frames: int, loops: int, rng: np.random.Generator) 
     """(frames, 5) states of closed rounds through the first state, each shrunk until it fits into its frames."""
     stops = np.rint(np.arange(loops + 1) * (frames - 1) / loops).astype(int)
     first = free.points[rng.integers(len(free.points))].astype(float)
-    home = np.array([*first, *_glance(free, first, rng.uniform(0, 2 * np.pi), (-3, 3), rng)])
+    home = np.array([*first, *_glance(free, first, rng.uniform(0, 2 * np.pi), (-3.0, 3.0), rng)])
     pieces = [home[None]]
     for steps in np.diff(stops):
         full_turn = rng.choice([-1, 1]) * 2 * np.pi if 2 * np.pi / _PACE_RAD < 0.8 * steps else 0.0
         count = int(np.clip(steps / 14, 3, 12))
-        away = []
+        away: list[np.ndarray] = []
         for k in range(1, count):
             goal = _next_waypoint(free, away[-1][:3] if away else first, rng)
             if goal is None:
@@ -213,7 +217,8 @@ def _shaken(states: np.ndarray, rng: np.random.Generator) -> np.ndarray:
     return shaken
 
 
-def _forward(yaw, pitch) -> np.ndarray:
+def _forward(yaw: float | np.ndarray, pitch: float | np.ndarray) -> np.ndarray:
+    """(..., 3) unit directions in the world; angles in radians."""
     return np.stack([np.cos(pitch) * np.cos(yaw), np.cos(pitch) * np.sin(yaw), np.sin(pitch)], axis=-1)
 
 

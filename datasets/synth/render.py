@@ -156,8 +156,11 @@ def _sample(image: np.ndarray, uv: np.ndarray) -> np.ndarray:
     rows = -(-len(uv) // _ROW)
     grid = np.zeros((rows * _ROW, 2), dtype=np.float32)
     grid[: len(uv)] = (uv - np.floor(uv)) * [width, height] - 0.5
-    grid = grid.reshape(rows, _ROW, 2)
-    return cv2.remap(image, grid, None, cv2.INTER_LINEAR, borderMode=cv2.BORDER_WRAP).reshape(-1, 3)[: len(uv)]
+    pixels = grid.reshape(rows, _ROW, 2)
+    texels: np.ndarray = cv2.remap(  # type: ignore[call-overload]  # its stub wants a second map
+        image, pixels, None, cv2.INTER_LINEAR, borderMode=cv2.BORDER_WRAP
+    )
+    return texels.reshape(-1, 3)[: len(uv)]
 
 
 def _to_linear(srgb: np.ndarray) -> np.ndarray:

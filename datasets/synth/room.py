@@ -6,7 +6,7 @@ import numpy as np
 
 from . import textures as tx
 from .furniture import PIECES, Finishes, Piece, chair
-from .scene import Builder, Light, Scene
+from .scene import Builder, Finish, Light, Scene
 
 _GAP_M = 0.08  # between footprints
 _CHAIRS = ((0.0, -1.0, np.pi), (0.0, 1.0, 0.0), (1.0, 0.0, -np.pi / 2), (-1.0, 0.0, np.pi / 2))  # side x, side y, yaw
@@ -29,7 +29,7 @@ def _wall_frame(builder: Builder, size: np.ndarray, wall: int) -> tuple[Builder,
     yaw = wall * np.pi / 2
     reach = (size[1] if wall % 2 == 0 else size[0]) / 2
     origin = reach * np.array([-np.sin(yaw), np.cos(yaw)])
-    return builder.placed(*origin, 0.0, yaw), float(size[0] if wall % 2 == 0 else size[1])
+    return builder.placed(origin[0], origin[1], 0.0, yaw), float(size[0] if wall % 2 == 0 else size[1])
 
 
 def _shell(b: Builder, size: np.ndarray) -> Light:
@@ -54,13 +54,13 @@ def _shell(b: Builder, size: np.ndarray) -> Light:
         papers[2] = b.finish(tx.rough_plaster(rng, tx.hue(rng, 0.3, 0.8)), 1.5)
     order = rng.permutation(4)
     trim = b.finish(tx.wood(rng, [205, 198, 186]), 1.0)
-    light = None
+    lights: list[Light] = []
     for wall in range(4):
         frame, length = _wall_frame(b, size, wall)
         paper = papers[order[wall]]
         frame.box([length, 0.02, 0.09], [0, -0.01, 0.045], trim)
         if wall == 0:
-            light = _window_wall(frame, length, height, paper, trim)
+            lights.append(_window_wall(frame, length, height, paper, trim))
             continue
         frame.patch([-length / 2, 0, height], [length, 0, 0], [0, 0, -height], paper, (0, 0))
         if wall == 2:
@@ -68,10 +68,10 @@ def _shell(b: Builder, size: np.ndarray) -> Light:
     frame_lamp = b.finish(tx.fabric(rng, [240, 225, 190]), 0.3)
     b.cylinder(0.015, 0.16, [0, 0, height - 0.08], trim)
     b.cylinder(0.2, 0.12, [0, 0, height - 0.2], frame_lamp, 0.1)
-    return light
+    return lights[0]
 
 
-def _window_wall(b: Builder, length: float, height: float, paper, trim) -> Light:
+def _window_wall(b: Builder, length: float, height: float, paper: Finish, trim: Finish) -> Light:
     """A wall with an opening: what lies behind it has no depth."""
     width, low, high = b.rng.uniform(1.2, 1.6), 0.95, height - 0.4
     middle = b.rng.uniform(-0.15, 0.15) * length
@@ -93,7 +93,7 @@ def _window_wall(b: Builder, length: float, height: float, paper, trim) -> Light
     return Light(center, ends - center, np.array([4.2, 4.7, 5.3]))
 
 
-def _door(b: Builder, x: float, trim) -> None:
+def _door(b: Builder, x: float, trim: Finish) -> None:
     rng = b.rng
     leaf = b.finish(tx.wood(rng, [176, 138, 96]), 1.2)
     b.box([0.9, 0.04, 2.02], [x, -0.02, 1.01], leaf)
@@ -128,7 +128,9 @@ def _furnish(b: Builder, size: np.ndarray) -> list[str]:
     return names
 
 
-def _try_place(rng, size: np.ndarray, piece: Piece, width: float, depth: float) -> tuple[float, float, float]:
+def _try_place(
+    rng: np.random.Generator, size: np.ndarray, piece: Piece, width: float, depth: float
+) -> tuple[float, float, float]:
     if not piece.against_wall:
         room = size[:2] / 2 - max(width, depth) / 2 - 0.75
         return (*rng.uniform(-np.maximum(room, 0.05), np.maximum(room, 0.05)), rng.integers(2) * np.pi / 2)
@@ -142,7 +144,13 @@ def _try_place(rng, size: np.ndarray, piece: Piece, width: float, depth: float) 
     return along * cos - back * sin, along * sin + back * cos, yaw
 
 
-def _chairs(b: Builder, finishes: Finishes, table, size: np.ndarray, taken: list[np.ndarray]) -> list[str]:
+def _chairs(
+    b: Builder,
+    finishes: Finishes,
+    table: tuple[float, float, float, float, float],
+    size: np.ndarray,
+    taken: list[np.ndarray],
+) -> list[str]:
     """Chairs at the sides of a table, where there is room."""
     x, y, yaw, width, depth = table
     cos, sin = np.cos(yaw), np.sin(yaw)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 
 @dataclass(frozen=True)
@@ -78,7 +79,7 @@ class Builder:
         child._rotation = self._rotation @ np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]])
         return child
 
-    def to_world(self, point) -> np.ndarray:
+    def to_world(self, point: ArrayLike) -> np.ndarray:
         """A point (3,) of this frame in the scene."""
         return self._rotation @ np.asarray(point, dtype=float) + self._origin
 
@@ -87,7 +88,9 @@ class Builder:
         self._parts.textures.append(image)
         return Finish(len(self._parts.textures) - 1, tile_m)
 
-    def patch(self, corner: np.ndarray, right: np.ndarray, down: np.ndarray, finish: Finish, uv0=None) -> None:
+    def patch(
+        self, corner: ArrayLike, right: ArrayLike, down: ArrayLike, finish: Finish, uv0: ArrayLike | None = None
+    ) -> None:
         """A rectangle from its upper left corner and two edges; `uv0` (2,) metres fixes where the texture starts."""
         corner, right, down = (np.asarray(x, dtype=float) for x in (corner, right, down))
         size = np.array([np.linalg.norm(right), np.linalg.norm(down)])
@@ -99,7 +102,7 @@ class Builder:
         points = corner + square[:, :1] * right + square[:, 1:] * down
         self._add(points, np.array([[0, 2, 1], [0, 3, 2]]), uv, finish)
 
-    def box(self, size, center, finish: Finish) -> None:
+    def box(self, size: ArrayLike, center: ArrayLike, finish: Finish) -> None:
         """An upright box: size and center (3,) metres in this frame."""
         sx, sy, sz = np.asarray(size, dtype=float)
         x0, y0, z0 = np.asarray(center, dtype=float) - [sx / 2, sy / 2, sz / 2]
@@ -112,7 +115,7 @@ class Builder:
         self.patch([x0, y1, z1], ex, -ey, finish)
         self.patch([x0, y0, z0], ex, ey, finish)
 
-    def lathe(self, profile, center, finish: Finish, sides: int = 28) -> None:
+    def lathe(self, profile: ArrayLike, center: ArrayLike, finish: Finish, sides: int = 28) -> None:
         """A body of revolution about z: profile (P, 2) of (radius, height) metres, from the top down."""
         profile = np.asarray(profile, dtype=float)
         angles = np.linspace(0, 2 * np.pi, sides + 1)
@@ -129,13 +132,15 @@ class Builder:
         b, c, d = a + 1, a + sides + 1, a + sides + 2
         self._add(points, np.concatenate([np.stack([a, c, b], 1), np.stack([b, c, d], 1)]), uv, finish)
 
-    def cylinder(self, radius: float, height: float, center, finish: Finish, top_radius: float | None = None) -> None:
+    def cylinder(
+        self, radius: float, height: float, center: ArrayLike, finish: Finish, top_radius: float | None = None
+    ) -> None:
         """An upright closed cylinder or cone around `center` (3,)."""
         top = radius if top_radius is None else top_radius
         half = height / 2
         self.lathe([[0, half], [top, half], [radius, -half], [0, -half]], center, finish)
 
-    def ball(self, radius: float, center, finish: Finish, stretch: float = 1.0) -> None:
+    def ball(self, radius: float, center: ArrayLike, finish: Finish, stretch: float = 1.0) -> None:
         """A ball, stretched along z."""
         polar = np.linspace(0, np.pi, 15)
         self.lathe(np.stack([radius * np.sin(polar), radius * stretch * np.cos(polar)], 1), center, finish)

@@ -42,7 +42,8 @@ def structured_light_handa(
     shifted = _shifted_bilinear(depth, rng, 0.5 * scale)
     valid = shifted > 0
     disparity = np.where(valid, np.round(8 * _HANDA_FB / np.where(valid, shifted, 1)) / 8, 0)
-    dots = dot_pattern(*depth.shape, share=min(1.0, _DOT_SHARE / scale**2))
+    height, width = depth.shape
+    dots = dot_pattern(height, width, share=min(1.0, _DOT_SHARE / scale**2))
     matched = _match_dots(disparity, dots, scale)
     matched_ok = matched > 0
     z_cm = np.round(100 * _HANDA_FB / np.where(matched_ok, matched, 1))

@@ -50,10 +50,10 @@ def bias_field(height: int, width: int, rng: np.random.Generator) -> np.ndarray:
     return smooth * np.float32(_BIAS_PX / max(float(smooth.std()), 1e-6))
 
 
-def _disparity(left, right, fb: float, uniqueness: int, check: int, speckle: int) -> np.ndarray:
+def _disparity(left: np.ndarray, right: np.ndarray, fb: float, uniqueness: int, check: int, speckle: int) -> np.ndarray:
     """(H, W) float32 pixels, 0 = none."""
     count = disparity_range(fb)
-    matcher = cv2.StereoSGBM_create(
+    matcher = cv2.StereoSGBM.create(
         minDisparity=0, numDisparities=count, blockSize=_BLOCK, P1=8 * 3 * _BLOCK**2, P2=32 * 3 * _BLOCK**2,
         disp12MaxDiff=check, uniquenessRatio=uniqueness, speckleWindowSize=speckle, speckleRange=2, preFilterCap=31,
     )  # fmt: skip

@@ -6,6 +6,7 @@ import colorsys
 
 import cv2
 import numpy as np
+from numpy.typing import ArrayLike
 
 SIZE = 512
 
@@ -31,22 +32,22 @@ def hue(rng: np.random.Generator, saturation: float = 0.5, value: float = 0.6) -
     return np.array(colorsys.hsv_to_rgb(rng.uniform(), saturation, value)) * 255
 
 
-def _image(base, variation: np.ndarray, amount: float = 1.0) -> np.ndarray:
+def _image(base: ArrayLike, variation: np.ndarray, amount: float = 1.0) -> np.ndarray:
     """Base colour (3,) or (h, w, 3), lightened and darkened by `variation` (h, w) times `amount` levels."""
     return np.clip(np.asarray(base) + amount * variation[..., None], 0, 255).astype(np.uint8)
 
 
-def plaster(rng: np.random.Generator, color) -> np.ndarray:
+def plaster(rng: np.random.Generator, color: ArrayLike) -> np.ndarray:
     """A plain painted wall: what trackers and stereo matchers find little on."""
     return _image(color, fractal(rng, 1.0), 1.2)
 
 
-def rough_plaster(rng: np.random.Generator, color) -> np.ndarray:
+def rough_plaster(rng: np.random.Generator, color: ArrayLike) -> np.ndarray:
     """Wiped plaster with clouds and grain."""
     return _image(color, fractal(rng, 1.4) + 0.6 * fractal(rng, 0.5), 11)
 
 
-def wood(rng: np.random.Generator, color) -> np.ndarray:
+def wood(rng: np.random.Generator, color: ArrayLike) -> np.ndarray:
     """Wood, its grain along the rows."""
     grain, bend = fractal(rng, 1.0, 10), fractal(rng, 1.6, 4)
     rows = np.arange(SIZE)[:, None] / SIZE
@@ -55,7 +56,7 @@ def wood(rng: np.random.Generator, color) -> np.ndarray:
     return _image(color, 14 * rings + 10 * grain - 14 * pores)
 
 
-def planks(rng: np.random.Generator, color, rows: int = 8) -> np.ndarray:
+def planks(rng: np.random.Generator, color: ArrayLike, rows: int = 8) -> np.ndarray:
     """A plank floor: rows of boards with their own grain, tone and joints."""
     board = SIZE // rows
     grain = wood(rng, color).astype(np.float32)
@@ -72,7 +73,7 @@ def planks(rng: np.random.Generator, color, rows: int = 8) -> np.ndarray:
     return np.clip(out, 0, 255).astype(np.uint8)
 
 
-def tiles(rng: np.random.Generator, color, other, count: int = 4) -> np.ndarray:
+def tiles(rng: np.random.Generator, color: ArrayLike, other: ArrayLike, count: int = 4) -> np.ndarray:
     """A chequered tile floor with grout."""
     cell = SIZE // count
     index = np.arange(SIZE) // cell
@@ -85,7 +86,7 @@ def tiles(rng: np.random.Generator, color, other, count: int = 4) -> np.ndarray:
     return np.clip(image + 4 * fractal(rng, 0.3)[..., None], 0, 255).astype(np.uint8)
 
 
-def bricks(rng: np.random.Generator, color) -> np.ndarray:
+def bricks(rng: np.random.Generator, color: ArrayLike) -> np.ndarray:
     """A brick wall."""
     height, width = SIZE // 8, SIZE // 4
     y, x = np.mgrid[:SIZE, :SIZE]
@@ -98,7 +99,7 @@ def bricks(rng: np.random.Generator, color) -> np.ndarray:
     return np.clip(image, 0, 255).astype(np.uint8)
 
 
-def wallpaper(rng: np.random.Generator, color, other, stripes: int = 8) -> np.ndarray:
+def wallpaper(rng: np.random.Generator, color: ArrayLike, other: ArrayLike, stripes: int = 8) -> np.ndarray:
     """Stripes with a printed ornament."""
     x = np.arange(SIZE) * stripes * 2 * np.pi / SIZE
     y = np.arange(SIZE) * 6 * 2 * np.pi / SIZE
@@ -108,14 +109,14 @@ def wallpaper(rng: np.random.Generator, color, other, stripes: int = 8) -> np.nd
     return np.clip(image + 4 * fractal(rng, 0.8)[..., None], 0, 255).astype(np.uint8)
 
 
-def fabric(rng: np.random.Generator, color) -> np.ndarray:
+def fabric(rng: np.random.Generator, color: ArrayLike) -> np.ndarray:
     """Woven cloth: threads and worn places."""
     thread = np.arange(SIZE) * 64 * 2 * np.pi / SIZE
     weave = np.sin(thread)[None] * np.sin(thread)[:, None]
     return _image(color, 9 * weave + 9 * fractal(rng, 1.3) + 7 * fractal(rng, 0.2))
 
 
-def carpet(rng: np.random.Generator, color, other) -> np.ndarray:
+def carpet(rng: np.random.Generator, color: ArrayLike, other: ArrayLike) -> np.ndarray:
     """A rug, to be stretched: border, diamonds and tufts."""
     y, x = np.mgrid[:SIZE, :SIZE] / SIZE * 2 - 1
     edge = np.maximum(np.abs(x), np.abs(y))
@@ -127,7 +128,7 @@ def carpet(rng: np.random.Generator, color, other) -> np.ndarray:
     return _image(image, 9 * fractal(rng, 0.2) + 8 * fractal(rng, 1.2))
 
 
-def marble(rng: np.random.Generator, color) -> np.ndarray:
+def marble(rng: np.random.Generator, color: ArrayLike) -> np.ndarray:
     """Polished stone with veins."""
     veins = np.exp(-8 * np.abs(fractal(rng, 1.5)))
     return _image(color, 10 * fractal(rng, 1.2) - 70 * veins + 4 * fractal(rng, 0.4))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -13,6 +14,15 @@ from .scene import Scene
 _WHITE = np.full((4, 4, 3), 255, dtype=np.uint8)
 _Z_UP_FROM_Y_UP = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
 _ADVICE = "give a GLB, glTF, OBJ or PLY file of triangles, in metres"
+
+
+@dataclass(frozen=True)
+class _Part:
+    """A triangle mesh, its texture (h, w, 3) uint8 if it has one, and the base colour (3,) of its material."""
+
+    mesh: o3d.geometry.TriangleMesh
+    texture: np.ndarray | None
+    base_color: np.ndarray
 
 
 def load_scene(path: Path, up: str = "z") -> Scene:
@@ -30,8 +40,8 @@ def load_scene(path: Path, up: str = "z") -> Scene:
     return scene
 
 
-def _model_parts(path: Path) -> list[tuple]:
-    """(mesh, texture or None, base colour (3,)) of each part of a file with materials."""
+def _model_parts(path: Path) -> list[_Part]:
+    """The parts of a file with materials."""
     if path.suffix.lower() in (".ply", ".stl", ".off"):
         return []  # no materials in there
     try:
@@ -41,19 +51,20 @@ def _model_parts(path: Path) -> list[tuple]:
     parts = []
     for info in model.meshes:
         material = model.materials[info.material_idx] if 0 <= info.material_idx < len(model.materials) else None
-        texture, base = None, np.ones(3)
+        texture: np.ndarray | None = None
+        base: np.ndarray = np.ones(3)
         if material is not None:
             base = np.asarray(material.base_color)[:3]
             image = np.asarray(material.albedo_img) if material.albedo_img is not None else np.zeros(0)
             texture = _rgb(image) if image.size else None
         if info.mesh.has_triangles():
-            parts.append((info.mesh, texture, base))
+            parts.append(_Part(info.mesh, texture, base))
     return parts
 
 
-def _plain_parts(path: Path) -> list[tuple]:
+def _plain_parts(path: Path) -> list[_Part]:
     mesh = o3d.io.read_triangle_mesh(str(path))
-    return [(mesh, None, np.ones(3))] if mesh.has_triangles() else []
+    return [_Part(mesh, None, np.ones(3))] if mesh.has_triangles() else []
 
 
 def _rgb(image: np.ndarray) -> np.ndarray:
@@ -64,24 +75,27 @@ def _rgb(image: np.ndarray) -> np.ndarray:
     return np.ascontiguousarray(image[..., :3] if image.shape[2] >= 3 else np.repeat(image[..., :1], 3, axis=2))
 
 
-def _joined(parts: list[tuple], up: str) -> Scene:
+def _joined(parts: list[_Part], up: str) -> Scene:
     vertices, faces, uvs, texture_ids, tints, textures = [], [], [], [], [], [_WHITE]
     count = 0
-    for mesh, texture, base in parts:
+    for part in parts:
+        mesh, texture = part.mesh, part.texture
         triangles = np.asarray(mesh.triangles)
-        has_uvs = texture is not None and mesh.has_triangle_uvs()
-        uv = np.asarray(mesh.triangle_uvs).reshape(-1, 3, 2) if has_uvs else np.zeros((len(triangles), 3, 2))
-        if has_uvs:
+        uv = np.zeros((len(triangles), 3, 2))
+        texture_id = 0
+        if texture is not None and mesh.has_triangle_uvs():
+            # Open3D counts v from the bottom of the image
+            uv = np.asarray(mesh.triangle_uvs).reshape(-1, 3, 2) * [1, -1] + [0, 1]
+            texture_id = len(textures)
             textures.append(texture)
-            uv = uv * [1, -1] + [0, 1]  # Open3D counts v from the bottom of the image
-        tint = np.broadcast_to(base, (len(triangles), 3, 3))
+        tint = np.broadcast_to(part.base_color, (len(triangles), 3, 3))
         if mesh.has_vertex_colors():
             tint = tint * np.asarray(mesh.vertex_colors)[triangles] ** 2  # the square stands for the sRGB curve
         vertices.append(np.asarray(mesh.vertices))
         faces.append(triangles + count)
         uvs.append(uv)
         tints.append(tint)
-        texture_ids.append(np.full(len(triangles), len(textures) - 1 if has_uvs else 0))
+        texture_ids.append(np.full(len(triangles), texture_id))
         count += len(mesh.vertices)
     points = np.concatenate(vertices)
     return Scene(

@@ -140,6 +140,7 @@ class _Recorder:
         write_text(self.folder / "left_camera_matrix" / f"{index}.txt", rows + "\n")
 
     def _sense(self, name: str, index: int, depth: np.ndarray, images: list[np.ndarray]) -> np.ndarray:
+        left, right = images
         rng = np.random.default_rng([self.seed, 6, SENSORS[name].stream, index])
         match name:
             case "sl-handa":
@@ -151,9 +152,9 @@ class _Recorder:
             case "tof-habitat":
                 return active.structured_light_redwood(depth, rng, multiplier=5.0)
             case "sgm":
-                return stereo.semi_global_matching(*images, self.fb)
+                return stereo.semi_global_matching(left, right, self.fb)
             case _:
-                return stereo.dense_stereo(*images, self.fb, self.bias)
+                return stereo.dense_stereo(left, right, self.fb, self.bias)
 
     def _write_depth(self, folder: str, index: int, depth: np.ndarray) -> None:
         write_image(self.folder / folder / f"{index}.png", encode_metres(depth, DEPTH_UNITS_PER_M))
@@ -215,7 +216,16 @@ def _clear(out: Path) -> None:
             shutil.rmtree(out / "1")
 
 
-def _facts(frames, size, seed, mesh, up, chosen, loops, contents) -> dict:
+def _facts(
+    frames: int,
+    size: int,
+    seed: int,
+    mesh: Path | None,
+    up: str,
+    chosen: Sequence[str],
+    loops: int,
+    contents: Sequence[str],
+) -> dict[str, object]:
     return {
         "made_by": "uncle synth: rendered images and simulated sensors, not a recording",
         "layout": "SenFuNet-Replica",

@@ -98,4 +98,5 @@ def _is_whole(data: bytes) -> bool:
 
 def encode_metres(values: np.ndarray, units_per_m: float) -> np.ndarray:
     """(H, W) metres -> (H, W) uint16, rounded; what does not fit becomes the largest value."""
-    return np.clip(np.nan_to_num(values) * units_per_m + 0.5, 0, 65535).astype(np.uint16)
+    units: np.ndarray = np.clip(np.nan_to_num(values) * units_per_m + 0.5, 0, 65535).astype(np.uint16)
+    return units

@@ -38,13 +38,19 @@ class Recording(Protocol):
 
     name: str
     format: str  # the name of the reader
-    camera: Camera
     sensors: tuple[str, ...]
     has_poses: bool
     has_timestamps: bool
     reference_mesh: Path | None  # ground-truth surface in the recording's world frame
-    registration_sigma_px: float  # how far colour may lie beside its depth, by an error that all frames share
     notes: tuple[str, ...]  # facts a user should hear once: a default intrinsic, dropped frames
+
+    @property
+    def camera(self) -> Camera:
+        """The pinhole camera of all images."""
+
+    @property
+    def registration_sigma_px(self) -> float:
+        """How far colour may lie beside its depth, by an error that all frames share."""
 
     def __len__(self) -> int: ...
 

@@ -31,8 +31,9 @@ class Mesh:
         table = np.zeros(len(self.vertices), dtype=fields)
         for axis, name in enumerate("xyz"):
             table[name] = self.vertices[:, axis]
-        for channel, name in enumerate(("red", "green", "blue") if self.colors is not None else ()):
-            table[name] = self.colors[:, channel]
+        if self.colors is not None:
+            for channel, name in enumerate(("red", "green", "blue")):
+                table[name] = self.colors[:, channel]
         if self.sigma is not None:
             table["sigma"] = self.sigma
         triangles = np.zeros(len(self.faces), dtype=[("count", "u1"), ("corners", "<i4", 3)])
@@ -83,4 +84,5 @@ def _read_sigma(path: Path, vertices: int) -> np.ndarray | None:
     attributes = o3d.t.io.read_point_cloud(str(path)).point  # Open3D keeps custom attributes of point clouds only
     if "sigma" not in attributes or len(attributes["sigma"]) != vertices:
         return None
-    return attributes["sigma"].numpy().reshape(-1).astype(np.float32)
+    sigma: np.ndarray = attributes["sigma"].numpy().reshape(-1).astype(np.float32)
+    return sigma

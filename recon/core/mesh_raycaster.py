@@ -2,11 +2,16 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import numpy as np
 
 from .camera import Camera
 from .errors import DataError
 from .mesh import Mesh
+
+if TYPE_CHECKING:
+    import open3d as o3d
 
 
 class Surface:
@@ -27,7 +32,8 @@ class Surface:
         """(N, 3) points, metres -> (N,) float32 unsigned distance to the nearest point of the surface, metres."""
         if self._is_empty or len(points) == 0:
             return np.full(len(points), np.inf, dtype=np.float32)
-        return self._scene.compute_distance(np.ascontiguousarray(points, dtype=np.float32)).numpy()
+        distances: np.ndarray = self._scene.compute_distance(np.ascontiguousarray(points, dtype=np.float32)).numpy()
+        return distances
 
     def cast(self, origins: np.ndarray, directions: np.ndarray) -> np.ndarray:
         """(..., 3) origins and directions -> (...) float32 ray parameter of the first hit, 0 where there is none.
@@ -37,7 +43,8 @@ class Surface:
         if self._is_empty:
             return np.zeros(directions.shape[:-1], dtype=np.float32)
         hit = self._first_hits(origins, directions)["t_hit"].numpy()
-        return np.where(np.isfinite(hit), hit, 0.0).astype(np.float32)
+        depths: np.ndarray = np.where(np.isfinite(hit), hit, 0.0).astype(np.float32)
+        return depths
 
     def triangles(self, camera: Camera, T_world_camera: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """(H, W) int64 triangle that each pixel sees from `T_world_camera` (4, 4), -1 where none is, and the (H, W, 3)
@@ -55,10 +62,11 @@ class Surface:
         directions = camera.rays().numpy() @ T_world_camera[:3, :3].T
         return self.cast(T_world_camera[:3, 3], directions)
 
-    def _first_hits(self, origins: np.ndarray, directions: np.ndarray) -> dict:
+    def _first_hits(self, origins: np.ndarray, directions: np.ndarray) -> dict[str, o3d.core.Tensor]:
         """Open3D's answer to the rays (..., 3), of a mesh that is not empty."""
         rays = np.concatenate([np.broadcast_to(origins, directions.shape), directions], axis=-1).astype(np.float32)
-        return self._scene.cast_rays(rays)
+        answer: dict[str, o3d.core.Tensor] = self._scene.cast_rays(rays)
+        return answer
 
 
 def sample_surface(mesh: Mesh, count: int, rng: np.random.Generator) -> np.ndarray:
@@ -78,4 +86,5 @@ def sample_surface(mesh: Mesh, count: int, rng: np.random.Generator) -> np.ndarr
     chosen = np.searchsorted(cumulative, rng.random(count) * cumulative[-1], side="right")
     chosen = np.minimum(chosen, len(area) - 1)
     root, along = np.sqrt(rng.random((count, 1))), rng.random((count, 1))
-    return corners[chosen, 0] + root * (1.0 - along) * edge_a[chosen] + root * along * edge_b[chosen]
+    samples: np.ndarray = corners[chosen, 0] + root * (1.0 - along) * edge_a[chosen] + root * along * edge_b[chosen]
+    return samples

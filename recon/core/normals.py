@@ -68,8 +68,9 @@ def incidence(normals: np.ndarray, camera: Camera) -> np.ndarray:
     1 where the surface is seen frontally, 0 where it is seen edge-on or its normal is unknown.
     """
     directions = unit_rays(camera)
-    cosine = -sum(normals[..., axis] * directions[..., axis] for axis in range(3))
-    return np.clip(cosine, 0.0, 1.0)
+    cosine: np.ndarray = -sum(normals[..., axis] * directions[..., axis] for axis in range(3))
+    clipped: np.ndarray = np.clip(cosine, 0.0, 1.0)
+    return clipped
 
 
 def gradients(depth: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -89,12 +90,12 @@ def gradients(depth: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 def unit_rays(camera: Camera) -> np.ndarray:
     """(H, W, 3) float32 unit vectors from the camera through each pixel centre (read-only)."""
     rays = camera.rays().numpy()
-    rays = rays / np.linalg.norm(rays, axis=-1, keepdims=True)
-    rays.flags.writeable = False
-    return rays
+    unit: np.ndarray = rays / np.linalg.norm(rays, axis=-1, keepdims=True)
+    unit.flags.writeable = False
+    return unit
 
 
-def _inverse(depth: np.ndarray, hole: float) -> np.ndarray:
+def _inverse(depth: np.ndarray, hole: float | np.float32) -> np.ndarray:
     """(H, W) float32 inverse depth in 1/m, `hole` where there is no reading."""
     inverse = np.full(depth.shape, hole, np.float32)
     np.divide(np.float32(1.0), depth, out=inverse, where=depth > 0)
@@ -135,7 +136,8 @@ def _smooth_inverse(inverse: np.ndarray, taps: list[tuple[int, int, float]], lim
         np.add(correction, bend, out=correction)
         np.add(total, weight, out=total)
         np.add(total, weight, out=total)
-    return inverse + correction / total
+    smoothed: np.ndarray = inverse + correction / total
+    return smoothed
 
 
 def _difference(inverse: np.ndarray, axis: int, max_slope: float, max_bend: float) -> np.ndarray:

@@ -39,7 +39,8 @@ def inverse(poses: np.ndarray) -> np.ndarray:
 
 def transform(poses: np.ndarray, points: np.ndarray) -> np.ndarray:
     """Rigid transforms (..., 4, 4) of points (..., 3)."""
-    return (poses[..., :3, :3] @ points[..., None])[..., 0] + poses[..., :3, 3]
+    moved: np.ndarray = (poses[..., :3, :3] @ points[..., None])[..., 0] + poses[..., :3, 3]
+    return moved
 
 
 def rotation_angle(transforms: np.ndarray) -> np.ndarray:

@@ -23,11 +23,12 @@ def save_tensors(path: Path, state: dict[str, Any]) -> None:
 def load_tensors(path: Path, device: torch.device | str = "cpu") -> dict[str, Any]:
     """Read what `save_tensors` wrote; never runs code from the file. Raises RunError."""
     try:
-        return torch.load(path, map_location=device, weights_only=True)
+        state: dict[str, Any] = torch.load(path, map_location=device, weights_only=True)
     except FileNotFoundError as error:
         raise RunError(f"there is no {path}; run `uncle map` first") from error
     except Exception as error:
         raise RunError(f"cannot read {path}: it is damaged; redo it with `uncle map --overwrite`") from error
+    return state
 
 
 def load_versioned(path: Path, called: str, what: str, format: str, version: int, again: str) -> dict[str, Any]:
@@ -37,7 +38,7 @@ def load_versioned(path: Path, called: str, what: str, format: str, version: int
     """
     wrong = f"{called}: not {what}"
     try:
-        state = load_tensors(path)
+        state: object = load_tensors(path)  # whatever a user names
     except RunError as error:
         raise ConfigError(wrong) from error
     if not isinstance(state, dict) or state.get("format") != format:

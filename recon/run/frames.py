@@ -98,7 +98,8 @@ class RunFrames:
 def encode_normals(normals: np.ndarray) -> np.ndarray:
     """(H, W, 3) unit vectors, 0 = unknown -> uint8 picture; unknown stays black."""
     known = (normals[..., :1] != 0) | (normals[..., 1:2] != 0) | (normals[..., 2:] != 0)
-    return (normals * np.float32(127.0) + np.float32(128.5)).astype(np.uint8) * known
+    picture: np.ndarray = (normals * np.float32(127.0) + np.float32(128.5)).astype(np.uint8) * known
+    return picture
 
 
 def decode_normals(image: np.ndarray) -> Tensor:
@@ -109,7 +110,7 @@ def decode_normals(image: np.ndarray) -> Tensor:
 
 
 @njit(nogil=True, cache=True)
-def _decode(picture, normals):
+def _decode(picture: np.ndarray, normals: np.ndarray) -> None:
     for pixel in range(len(picture)):
         known = np.float32(picture[pixel, 0] != 0)  # every channel of a known normal is at least 1
         x = np.float32(picture[pixel, 0]) - np.float32(128)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 from pydantic import Field
 
 from .base import Strict
@@ -18,7 +20,7 @@ class SenfunetConfig(Strict):
     )
 
 
-PRESET = {
+PRESET: dict[str, dict[str, Any]] = {
     "fusion": {"passes": 0, "truncation_voxels": 5.0, "min_observations": 1.0},
     "uncertainty": {"enabled": False},
     "photometric": {"enabled": False},
