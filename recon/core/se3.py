@@ -51,7 +51,8 @@ def rotation_angle(transforms: np.ndarray) -> np.ndarray:
     rotations = transforms[..., :3, :3]
     differences = rotations - np.swapaxes(rotations, -1, -2)
     sine = 0.5 * np.linalg.norm(differences[..., [2, 0, 1], [1, 2, 0]], axis=-1)
-    return np.arctan2(sine, 0.5 * (np.trace(rotations, axis1=-2, axis2=-1) - 1.0))
+    angles: np.ndarray = np.arctan2(sine, 0.5 * (np.trace(rotations, axis1=-2, axis2=-1) - 1.0))
+    return angles
 
 
 def exceeds(transform: np.ndarray, metres: float, radians: float) -> bool:
@@ -66,7 +67,8 @@ def predict_pose(recent: Sequence[np.ndarray]) -> np.ndarray:
     """
     if len(recent) < 2:
         return recent[-1]
-    return recent[-1] @ inverse(recent[-2]) @ recent[-1]
+    predicted: np.ndarray = recent[-1] @ inverse(recent[-2]) @ recent[-1]
+    return predicted
 
 
 def adjoint(transforms: np.ndarray) -> np.ndarray:

@@ -51,10 +51,6 @@ def _number(value: float | None) -> str:
     return "-" if value is None else f"{value:.3f}"
 
 
-def _cm(metres: float) -> str:
-    return f"{metres * 100:.2f}"
-
-
 def _percent(ratio: float | None) -> str:
     return "-" if ratio is None else f"{ratio * 100:.2f}"
 

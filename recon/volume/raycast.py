@@ -69,7 +69,10 @@ def _first_crossing(values: Tensor) -> tuple[Tensor, Tensor]:
 
 
 @njit(nogil=True, cache=True)
-def _march(origins, directions, sdf, known, volume, origin, voxel, step, steps):
+def _march(
+    origins: np.ndarray, directions: np.ndarray, sdf: np.ndarray, known: np.ndarray, volume: np.ndarray,
+    origin: np.ndarray, voxel: float, step: float, steps: int,
+) -> np.ndarray:  # fmt: skip
     """Coarse steps by the nearest sample until the sign changes; then interpolated ones around that place.
 
     Positions are counted in voxels.
@@ -95,7 +98,10 @@ def _march(origins, directions, sdf, known, volume, origin, voxel, step, steps):
 
 
 @njit(nogil=True, cache=True)
-def _refined(start, direction, first, spacing, sdf, known, volume, origin):
+def _refined(
+    start: np.ndarray, direction: np.ndarray, first: float, spacing: float, sdf: np.ndarray, known: np.ndarray,
+    volume: np.ndarray, origin: np.ndarray,
+) -> float:  # fmt: skip
     before, z = np.nan, first
     for _ in range(_FINE):
         value = _interpolated(start, direction, z, sdf, known, volume, origin)
@@ -107,7 +113,10 @@ def _refined(start, direction, first, spacing, sdf, known, volume, origin):
 
 
 @njit(nogil=True, cache=True)
-def _interpolated(start, direction, z, sdf, known, volume, origin):
+def _interpolated(
+    start: np.ndarray, direction: np.ndarray, z: float, sdf: np.ndarray, known: np.ndarray, volume: np.ndarray,
+    origin: np.ndarray,
+) -> float:  # fmt: skip
     """Trilinear distance at the point; NaN where one of the samples around is not known."""
     x, y, w = start[0] + direction[0] * z, start[1] + direction[1] * z, start[2] + direction[2] * z
     i, j, k = np.int64(np.floor(x)), np.int64(np.floor(y)), np.int64(np.floor(w))

@@ -136,7 +136,7 @@ def unique_blocks(blocks: Tensor) -> Tensor:
 
 
 @njit(nogil=True, cache=True)
-def row_of(x, y, z, volume, origin):
+def row_of(x: int, y: int, z: int, volume: np.ndarray, origin: np.ndarray) -> int | np.int64:
     """`SparseGrid.sample_rows` of one sample, for compiled loops; volume and origin from `SparseGrid.lookup`."""
     i, j, k = (x >> 3) - origin[0], (y >> 3) - origin[1], (z >> 3) - origin[2]
     if i < 0 or j < 0 or k < 0 or i >= volume.shape[0] or j >= volume.shape[1] or k >= volume.shape[2]:
@@ -146,7 +146,7 @@ def row_of(x, y, z, volume, origin):
 
 
 @njit(nogil=True, cache=True)
-def _rows_of(samples, volume, origin):
+def _rows_of(samples: np.ndarray, volume: np.ndarray, origin: np.ndarray) -> np.ndarray:
     rows = np.empty(len(samples), np.int64)
     for index in range(len(samples)):
         rows[index] = row_of(samples[index, 0], samples[index, 1], samples[index, 2], volume, origin)

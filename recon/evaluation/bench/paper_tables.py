@@ -71,7 +71,9 @@ def _scene_table(
     scenes: Sequence[Scene], choice: Choice, setting: str, count: int, records: list[Record], failures: Failures
 ) -> Table:
     """Rows of one setting and number of sensors: every data set and method, also those that have nothing to say."""
-    samples, rows, notes = collect(records, _SHOWN, group_of), [], []
+    samples = collect(records, _SHOWN, group_of)
+    rows: list[list[str]] = []
+    notes: list[str] = []
     formats = {scene.name: scene.format for scene in scenes}
     for dataset, sensors in _columns(scenes, choice, setting, count):
         for method in _methods(choice, records):

@@ -18,7 +18,7 @@ from ...core.errors import RunError
 Record = dict[str, Any]
 LAUNCHER = (sys.executable, "-m", "uncle.cli.main")
 _THREADS = ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA_NUM_THREADS", "TBB_NUM_THREADS")
-_running: set[subprocess.Popen] = set()
+_running: set[subprocess.Popen[str]] = set()
 _lock, _stopping = threading.Lock(), threading.Event()
 
 

@@ -47,7 +47,8 @@ def carry_out(
     the processes of `run_process` and leaves what is done.
     """
     session = session or time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime())
-    records, failed = load_records(path), {}
+    records = load_records(path)
+    failed: dict[str, str] = {}
     missing = [j for j in jobs if j.key not in records or not is_done(j, records[j.key])]
     mark = {"session": session, "machine": f"{platform.machine()}, {os.cpu_count()} cores"}
     clock = _Clock(len(missing), parallel)
@@ -113,7 +114,8 @@ class _Clock:
     """How far a call is, and how long the rest will take if it is like what is done."""
 
     def __init__(self, total: int, parallel: int) -> None:
-        self.total, self.parallel, self.done, self.seconds = total, parallel, 0, []
+        self.total, self.parallel, self.done = total, parallel, 0
+        self.seconds: list[float] = []
 
     def count(self, seconds: float | None) -> None:
         self.done += 1
