@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -31,18 +32,40 @@ def load_tensors(path: Path, device: torch.device | str = "cpu") -> dict[str, An
     return state
 
 
-def load_versioned(path: Path, called: str, what: str, format: str, version: int, again: str) -> dict[str, Any]:
-    """What a file that a user names holds, if it is of the right `format` and `version`.
+@dataclass(frozen=True)
+class FileFormat:
+    """A kind of tensor file that users name in options and settings.
 
-    Raises ConfigError that begins with what the file is `called` and says that it is not `what`, or to make it `again`.
+    mark          what the file says of itself under "format"
+    version       of the content; files of another one are refused
+    description   what it is, for messages: "a file of `uncle pretrain senfunet`"
+    advice        how a user gets one, for messages: "make one with `uncle pretrain senfunet`"
     """
-    wrong = f"{called}: not {what}"
-    try:
-        state: object = load_tensors(path)  # whatever a user names
-    except RunError as error:
-        raise ConfigError(wrong) from error
-    if not isinstance(state, dict) or state.get("format") != format:
-        raise ConfigError(wrong)
-    if state.get("version") != version:
-        raise ConfigError(f"{called}: version {state.get('version')}, here {version}; {again}")
-    return state
+
+    mark: str
+    version: int
+    description: str
+    advice: str
+
+    def save(self, path: Path, content: dict[str, Any]) -> None:
+        """Write plain tensors and containers under this format's mark and version. Raises RunError."""
+        save_tensors(path, {"format": self.mark, "version": self.version, **content})
+
+    def load(self, path: Path, label: str) -> dict[str, Any]:
+        """The content of a file of this format. Raises ConfigError; the message begins with `label`."""
+        try:
+            content: object = load_tensors(path)  # whatever a user names
+        except RunError as error:
+            raise self.error(label) from error
+        if not isinstance(content, dict) or content.get("format") != self.mark:
+            raise self.error(label)
+        version = content.get("version")
+        if version != self.version:
+            raise ConfigError(
+                f"{label}: made by another version of uncle (format {version}, here {self.version}); {self.advice}"
+            )
+        return content
+
+    def error(self, label: str) -> ConfigError:
+        """The error for a file that is not of this format."""
+        return ConfigError(f"{label}: not {self.description}, or a damaged one; {self.advice}")

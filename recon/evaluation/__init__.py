@@ -1,1 +1,34 @@
-"""Scores against ground truth. Never read by a method."""
+"""Scores against ground truth. Never read by a method.
+
+Imports sensors, run and core, never volume. Start at `run_metrics.py` (all scores of one run); `bench/` makes many runs
+as processes.
+"""
+
+from typing import TYPE_CHECKING
+
+from ..core.lazy import lazy_names
+
+if TYPE_CHECKING:
+    from .mesh_metrics import evaluate_mesh
+    from .run_metrics import EvalSettings, RunMetrics, evaluate_run
+    from .trajectory_metrics import evaluate_trajectory
+    from .uncertainty_calibration import evaluate_uncertainty
+
+__all__ = [
+    "EvalSettings",
+    "RunMetrics",
+    "evaluate_mesh",
+    "evaluate_run",
+    "evaluate_trajectory",
+    "evaluate_uncertainty",
+]
+
+__getattr__ = lazy_names(
+    __name__,
+    {
+        "evaluate_mesh": ".mesh_metrics",
+        **dict.fromkeys(("EvalSettings", "RunMetrics", "evaluate_run"), ".run_metrics"),
+        "evaluate_trajectory": ".trajectory_metrics",
+        "evaluate_uncertainty": ".uncertainty_calibration",
+    },
+)

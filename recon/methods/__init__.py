@@ -1,4 +1,8 @@
-"""One folder per `--method`. Start at uncle/pipeline.py; registry.py lists them. May import tracking, mvs and below."""
+"""One folder per `--method`.
+
+Imports tracking, mvs and the rooms below them. Start at `uncle/pipeline.py`, the default method; `registry.py` lists
+all methods and `spec.py` says what one consists of.
+"""
 
 from typing import TYPE_CHECKING
 
@@ -10,8 +14,14 @@ if TYPE_CHECKING:
     from .spec import MethodSpec
 
 __all__ = [
-    "MapJob", "MapResult", "MethodSpec", "method_spec", "method_specs", "register_method", "unregister_method",
-]  # fmt: skip
+    "MapJob",
+    "MapResult",
+    "MethodSpec",
+    "method_spec",
+    "method_specs",
+    "register_method",
+    "unregister_method",
+]
 
 __getattr__ = lazy_names(
     __name__,

@@ -16,7 +16,7 @@ from .manifest import SCHEMA_VERSION, Manifest, StageRecord, library_versions
 
 
 class RunDirectory:
-    """Paths and manifest of one run. Reading never changes the folder."""
+    """Paths and manifest of one run. Reading never changes the folder; every `load_` reads the file again."""
 
     def __init__(self, root: Path) -> None:
         self.root = Path(root)
@@ -99,48 +99,53 @@ class RunDirectory:
         return self.root / "beta" / sensor / f"{index:06d}.png"
 
     # --- manifest ----------------------------------------------------------------------------------------------
-    @property
-    def manifest(self) -> Manifest:
-        """Raises RunError if there is no run here, or one of another schema."""
+    def load_manifest(self) -> Manifest:
+        """Read `manifest.json`. Raises RunError if there is no run here, or one of another schema."""
         try:
-            raw = json.loads(self.manifest_path.read_text())
+            content = json.loads(self.manifest_path.read_text())
         except FileNotFoundError as error:
             raise RunError(
                 f"{self.root} holds no run; make one with `uncle preprocess DATASET --run {self.root}`"
             ) from error
         except (OSError, json.JSONDecodeError) as error:
             raise RunError(f"cannot read {self.manifest_path}: {error}") from error
-        found = raw.get("schema_version")
-        if found != SCHEMA_VERSION:
+        redo = f"redo it with `uncle preprocess {_dataset_of(content)} --overwrite --run {self.root}`"
+        schema = content.get("schema_version") if isinstance(content, dict) else None
+        if schema != SCHEMA_VERSION:
             raise RunError(
-                f"{self.root} was made by another version (schema {found}, here {SCHEMA_VERSION}); "
-                "redo it with `uncle preprocess`"
+                f"{self.root} was made by another version of uncle (schema {schema}, here {SCHEMA_VERSION}); {redo}"
             )
         try:
-            return Manifest.model_validate(raw)
+            return Manifest.model_validate(content)
         except ValidationError as error:
-            raise RunError(
-                f"{self.manifest_path} is damaged: {error.errors()[0]['msg']}; redo it with `uncle preprocess`"
-            ) from error
+            raise RunError(f"{self.manifest_path} is damaged: {error.errors()[0]['msg']}; {redo}") from error
+
+    @property
+    def manifest(self) -> Manifest:
+        """`load_manifest`, under its old name."""
+        return self.load_manifest()
+
+    def require(self) -> None:
+        """Raises RunError if this is no run directory, or one of another version."""
+        self.load_manifest()
 
     def save_manifest(self, manifest: Manifest) -> None:
         """Raises RunError."""
         write_text(self.manifest_path, manifest.model_dump_json(indent=2) + "\n")
 
-    @property
-    def camera(self) -> Camera:
-        values = self.manifest.camera
-        return Camera(int(values["width"]), int(values["height"]), *(values[key] for key in ("fx", "fy", "cx", "cy")))
+    def load_camera(self) -> Camera:
+        """The camera that all images of the run share. Raises RunError."""
+        return self.load_manifest().pinhole_camera()
 
     # --- stages ------------------------------------------------------------------------------------------------
     def is_current(self, stage: str, config_hash: str) -> bool:
         """Whether `stage` is finished and was made with this configuration."""
-        record = self.manifest.stages.get(stage)
+        record = self.load_manifest().stages.get(stage)
         return record is not None and record.config_hash == config_hash
 
     def finish_stage(self, stage: str, config_hash: str, started: float, facts: dict[str, Any]) -> None:
         """Record a stage as done; `started` is `time.time()` at its beginning. Raises RunError."""
-        manifest = self.manifest
+        manifest = self.load_manifest()
         record = StageRecord(
             config_hash=config_hash,
             finished=time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime()),
@@ -153,7 +158,13 @@ class RunDirectory:
 
     def require_stage(self, stage: str) -> StageRecord:
         """The record of a finished stage. Raises RunError naming the command that makes it."""
-        record = self.manifest.stages.get(stage)
+        record = self.load_manifest().stages.get(stage)
         if record is None:
             raise RunError(f"{self.root} has no finished `{stage}` stage; run `uncle {stage} --run {self.root}` first")
         return record
+
+
+def _dataset_of(content: Any) -> str:
+    """The data set that a manifest of any version names, else a placeholder."""
+    dataset = content.get("dataset") if isinstance(content, dict) else None
+    return dataset if isinstance(dataset, str) else "DATASET"

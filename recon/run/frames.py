@@ -28,10 +28,10 @@ class RunFrames:
     """The frames of a run, in order; index = position. `sensors` limits what is read."""
 
     def __init__(self, run: RunDirectory, sensors: Sequence[str] | None = None) -> None:
-        manifest = run.manifest
+        manifest = run.load_manifest()
         run.require_stage("preprocess")
         self.run = run
-        self.camera: Camera = run.camera
+        self.camera: Camera = manifest.pinhole_camera()
         self.registration_sigma_px = manifest.registration_sigma_px
         self.sensors: tuple[str, ...] = tuple(sensors) if sensors is not None else manifest.sensors
         try:

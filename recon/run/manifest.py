@@ -10,6 +10,8 @@ from typing import Any
 
 from pydantic import BaseModel, ConfigDict
 
+from ..core.camera import Camera
+
 SCHEMA_VERSION = 2
 
 
@@ -48,9 +50,16 @@ class Manifest(BaseModel):
     sensors: tuple[str, ...]
     has_timestamps: bool
     reference_mesh: str | None = None
-    registration_sigma_px: float = 0.0  # how far colour may lie beside its depth, by an error that all frames share
+    registration_sigma_px: float = (
+        0.0  # standard deviation of the offset between colour and depth, common to all frames
+    )
     skipped: dict[str, str] = {}  # "source index[/sensor]" -> reason
     stages: dict[str, StageRecord] = {}
+
+    def pinhole_camera(self) -> Camera:
+        """`camera` as a value."""
+        fx, fy, cx, cy = (self.camera[key] for key in ("fx", "fy", "cx", "cy"))
+        return Camera(int(self.camera["width"]), int(self.camera["height"]), fx, fy, cx, cy)
 
 
 def config_hash(*parts: object) -> str:
@@ -60,10 +69,10 @@ def config_hash(*parts: object) -> str:
 
 def library_versions() -> dict[str, str]:
     """Versions that decide a result."""
-    found = {"python": platform.python_version()}
+    versions = {"python": platform.python_version()}
     for name in ("uncle", "torch", "open3d", "numpy", "opencv-python-headless"):
         try:
-            found[name] = version(name)
+            versions[name] = version(name)
         except PackageNotFoundError:
             continue
-    return found
+    return versions

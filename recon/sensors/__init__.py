@@ -1,1 +1,43 @@
-"""What is known of one depth sensor: error scale per measurement, weight, faults."""
+"""What is known of one depth sensor: error scale per measurement, fusion weight, faults.
+
+Imports core, run and volume. Start at `noise_model.py` (the network h_w from image to beta), `noise_inputs.py` (what it
+sees) and `likelihood.py` (what it minimises); `fusion_weights.py` turns beta into weights, `fault_detection.py` finds
+sensors that fail.
+"""
+
+from typing import TYPE_CHECKING
+
+from ..core.lazy import lazy_names
+
+if TYPE_CHECKING:
+    from .fault_detection import FaultDetector
+    from .fusion_weights import FusionWeights
+    from .likelihood import interval_loss, laplace_nll
+    from .noise_inputs import FEATURES, noise_features
+    from .noise_model import NoiseModel, Residuals
+    from .noise_prior import NoisePrior, save_noise_models
+
+__all__ = [
+    "FEATURES",
+    "FaultDetector",
+    "FusionWeights",
+    "NoiseModel",
+    "NoisePrior",
+    "Residuals",
+    "interval_loss",
+    "laplace_nll",
+    "noise_features",
+    "save_noise_models",
+]
+
+__getattr__ = lazy_names(
+    __name__,
+    {
+        "FaultDetector": ".fault_detection",
+        "FusionWeights": ".fusion_weights",
+        **dict.fromkeys(("interval_loss", "laplace_nll"), ".likelihood"),
+        **dict.fromkeys(("FEATURES", "noise_features"), ".noise_inputs"),
+        **dict.fromkeys(("NoiseModel", "Residuals"), ".noise_model"),
+        **dict.fromkeys(("NoisePrior", "save_noise_models"), ".noise_prior"),
+    },
+)

@@ -13,12 +13,15 @@ import torch
 
 from ..core.config.uncle import UncertaintyConfig
 from ..core.errors import ConfigError, RunError
-from ..core.tensor_files import load_versioned, save_tensors
+from ..core.tensor_files import FileFormat
 from ..run.directory import RunDirectory
 from .noise_inputs import FEATURES
 from .noise_model import NoiseModel
 
-FORMAT, VERSION = "uncle noise models", 1
+FORMAT = FileFormat(
+    "uncle noise models", 1, "a file of noise models",
+    "give a run directory that `uncle map` filled, or its map/noise_model.pt",
+)  # fmt: skip
 SHAPE = ("hidden", "inputs", "features", "beta_min_m")  # of a model; what it reads, and what of that it sees
 
 
@@ -35,7 +38,7 @@ def save_noise_models(path: Path, noise: dict[str, NoiseModel]) -> None:
         for name, model in noise.items()
         if model.taught
     }
-    save_tensors(path, {"format": FORMAT, "version": VERSION, "sensors": sensors})
+    FORMAT.save(path, {"sensors": sensors})
 
 
 @dataclass(frozen=True)
@@ -123,11 +126,10 @@ def _seen(model: NoiseModel) -> list[str]:
 
 
 def _read(path: Path) -> dict[str, dict[str, Any]]:
-    called, what = f"--prior {path}", "a file of noise models; give a run directory, or its map/noise_model.pt"
-    state = load_versioned(path, called, what, FORMAT, VERSION, "map that recording again")
-    sensors = state.get("sensors")
+    label = f"--prior {path}"
+    sensors = FORMAT.load(path, label).get("sensors")
     if not isinstance(sensors, dict) or not all(_is_entry(entry) for entry in sensors.values()):
-        raise ConfigError(f"{called}: not {what}")
+        raise FORMAT.error(label)
     return sensors
 
 

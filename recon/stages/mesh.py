@@ -45,7 +45,7 @@ def mesh_run(
         return MeshSummary(path, 0, 0, unchanged=True)
     started = time.time()
     poses = Trajectory.load(run.trajectory_path).T_world_camera
-    mesh = make_mesh(load_field(run), run.camera, list(poses), voxel_size_m, clean, max_sigma_m, on_event)
+    mesh = make_mesh(load_field(run), run.load_camera(), list(poses), voxel_size_m, clean, max_sigma_m, on_event)
     mesh.save(path)
     if out is None:
         facts = {"voxel_size_m": voxel_size_m, "clean": clean, "max_sigma_m": max_sigma_m}

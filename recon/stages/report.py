@@ -81,7 +81,7 @@ def _guarded(title: str, build: Callable[[], str], on_event: OnEvent) -> str:
 
 
 def _overview(run: RunDirectory, manifest: Manifest) -> str:
-    camera = run.camera
+    camera = run.load_camera()
     mapped = manifest.stages.get("map")
     facts = mapped.facts if mapped else {}
     method = facts.get("method")

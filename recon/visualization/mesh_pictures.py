@@ -150,7 +150,7 @@ def snapshot_views(mesh: Mesh, run: RunDirectory | None, size: tuple[int, int] =
     poses = run_poses(run) if run is not None else np.zeros((0, 4, 4))
     if run is None or len(poses) == 0:
         return mesh_views(mesh.vertices, mesh.faces, size)
-    return run_views(poses, run.camera, mesh.vertices, mesh.faces, size)
+    return run_views(poses, run.load_camera(), mesh.vertices, mesh.faces, size)
 
 
 def run_poses(run: RunDirectory) -> np.ndarray:

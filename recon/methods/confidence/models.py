@@ -12,10 +12,12 @@ import torch
 from torch import Tensor
 
 from ...core.errors import ConfigError
-from ...core.tensor_files import load_versioned, save_tensors
+from ...core.tensor_files import FileFormat
 from .network import ConfidenceNetwork, confidence_image
 
-FORMAT, VERSION = "uncle confidence network", 1
+FORMAT = FileFormat(
+    "uncle confidence network", 1, "a file of `uncle pretrain confidence`", "make one with `uncle pretrain confidence`"
+)
 SHIPPED = Path(__file__).parent / "weights"
 STANDS_FOR = {"dense": "psmnet"}  # a simulated sensor -> the real kind whose network is taken
 
@@ -23,7 +25,7 @@ STANDS_FOR = {"dense": "psmnet"}  # a simulated sensor -> the real kind whose ne
 def save_network(path: Path, sensor: str, network: ConfidenceNetwork, recipe: dict[str, Any]) -> None:
     """Half-precision weights with the name of their sensor and what they were trained with. Raises RunError."""
     weights = {key: values.detach().cpu().half() for key, values in network.state_dict().items()}
-    save_tensors(path, {"format": FORMAT, "version": VERSION, "sensor": sensor, "weights": weights, "recipe": recipe})
+    FORMAT.save(path, {"sensor": sensor, "weights": weights, "recipe": recipe})
 
 
 @dataclass(frozen=True)
@@ -78,11 +80,10 @@ def _read(path: Path) -> tuple[str, ConfidenceNetwork]:
     """Sensor and network of a file. Raises ConfigError."""
     if not path.is_file():
         raise ConfigError(f"confidence.files: there is no {path}; make it with `uncle pretrain confidence`")
-    what = "a file of `uncle pretrain confidence`"
-    state = load_versioned(path, str(path), what, FORMAT, VERSION, "train it again")
+    state = FORMAT.load(path, str(path))
     network = ConfidenceNetwork()
     try:
         network.load_state_dict({key: values.float() for key, values in state["weights"].items()})
     except (KeyError, AttributeError, RuntimeError) as error:
-        raise ConfigError(f"{path}: not {what}, or a damaged one; train it again") from error
+        raise FORMAT.error(str(path)) from error
     return str(state.get("sensor")), network.to(memory_format=torch.channels_last).eval()

@@ -11,10 +11,12 @@ import torch
 from torch import Tensor, nn
 
 from ...core.errors import ConfigError
-from ...core.tensor_files import load_versioned, save_tensors
+from ...core.tensor_files import FileFormat
 from .network import FeatureNetwork, WeightingNetwork
 
-FORMAT, VERSION = "uncle senfunet", 1
+FORMAT = FileFormat(
+    "uncle senfunet", 1, "a file of `uncle pretrain senfunet`", "make one with `uncle pretrain senfunet`"
+)
 SHIPPED = Path(__file__).parent / "weights"
 STANDS_FOR = {"dense": "psmnet"}  # a simulated sensor -> the real kind whose networks are taken
 STEREO = frozenset({"sgm", "psmnet", "dense", "mvs"})  # sensors whose errors follow what the colour camera sees
@@ -51,10 +53,10 @@ class SenfunetModel:
     def save(self, path: Path, recipe: dict[str, Any]) -> None:
         """Half-precision weights, and what they were trained with. Raises RunError."""
         features = {sensor: _half(network) for sensor, network in self.features.items()}
-        save_tensors(
+        FORMAT.save(
             path,
             {
-                "format": FORMAT, "version": VERSION, "sensors": list(self.sensors), "voxel_size_m": self.voxel_size_m,
+                "sensors": list(self.sensors), "voxel_size_m": self.voxel_size_m,
                 "color": [self.features[sensor].color for sensor in self.sensors], "features": features,
                 "weighting": _half(self.weighting), "recipe": recipe,
             },
@@ -102,8 +104,7 @@ def _half(network: nn.Module) -> dict[str, Tensor]:
 def _read(path: Path) -> SenfunetModel:
     if not path.is_file():
         raise ConfigError(f"senfunet.file: there is no {path}; make it with `uncle pretrain senfunet`")
-    what = "a file of `uncle pretrain senfunet`"
-    state = load_versioned(path, str(path), what, FORMAT, VERSION, "train it again")
+    state = FORMAT.load(path, str(path))
     try:
         first, second = state["sensors"]
         features = {}
@@ -112,7 +113,7 @@ def _read(path: Path) -> SenfunetModel:
         weighting = _filled(WeightingNetwork(), state["weighting"])
         return SenfunetModel((first, second), features, weighting, float(state["voxel_size_m"]))
     except (KeyError, AttributeError, RuntimeError, ValueError, TypeError) as error:
-        raise ConfigError(f"{path}: not {what}, or a damaged one; train it again") from error
+        raise FORMAT.error(str(path)) from error
 
 
 def _filled(network, weights: dict[str, Tensor]):

@@ -102,7 +102,7 @@ def test_what_is_no_file_of_models_is_refused(file, tmp_path):
         with pytest.raises(ConfigError, match="not a file of noise models"):
             NoisePrior.load(broken)
     save_tensors(broken, state | {"version": 2})
-    with pytest.raises(ConfigError, match="version 2, here 1"):
+    with pytest.raises(ConfigError, match=r"another version of uncle \(format 2, here 1\); give a run directory"):
         NoisePrior.load(broken)
 
 
@@ -111,7 +111,7 @@ def test_models_of_another_shape_are_refused(file, tmp_path, monkeypatch):
     prior.require_fit(["sl"], UncertaintyConfig())
     with pytest.raises(ConfigError, match=r"sensor sl.*16 wide, here 24; add --set uncertainty\.hidden=16"):
         prior.require_fit(["sl"], UncertaintyConfig(hidden=24))
-    with pytest.raises(ConfigError, match=r"other inputs; add --set 'uncertainty\.features=\[\"depth"):
+    with pytest.raises(ConfigError, match=r"other inputs; add --set 'uncertainty\.inputs=\[\"depth"):
         prior.require_fit(["sl"], UncertaintyConfig(inputs=("depth",)))
     prior.sensors["sl"]["weights"]["layers.0.bias"] = torch.zeros(3)
     with pytest.raises(ConfigError, match="another shape"):
@@ -122,7 +122,7 @@ def test_models_of_another_shape_are_refused(file, tmp_path, monkeypatch):
 
 
 def test_the_advice_on_inputs_helps(tmp_path):
-    save_noise_models(tmp_path / "m.pt", {"sl": learned_model(features=("depth", "incidence"))})
+    save_noise_models(tmp_path / "m.pt", {"sl": learned_model(inputs=("depth", "incidence"))})
     with pytest.raises(ConfigError) as error:
         NoisePrior.load(tmp_path / "m.pt").require_fit(["sl"], UncertaintyConfig())
     advice = str(error.value).split("--set '")[1].rstrip("'")

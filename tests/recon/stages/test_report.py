@@ -27,7 +27,7 @@ NASTY = '<script>alert(\'$x_1$ & "co")</script>'
 @pytest.fixture
 def full_run(make_box_run, box_room):
     run = make_box_run(angles=np.linspace(0, 4, 3))
-    camera = run.camera
+    camera = run.load_camera()
     for index in range(3):
         rays = camera.rays().numpy()
         facing = -rays / np.linalg.norm(rays, axis=-1, keepdims=True)

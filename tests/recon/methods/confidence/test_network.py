@@ -76,7 +76,7 @@ def test_broken_files_are_named(tmp_path):
     with pytest.raises(ConfigError, match="damaged"):
         ConfidenceModels.load(["mine"], [broken])
     torch.save({"format": "uncle confidence network", "version": 7}, broken)
-    with pytest.raises(ConfigError, match="version 7"):
+    with pytest.raises(ConfigError, match="format 7, here 1"):
         ConfidenceModels.load(["mine"], [broken])
     with pytest.raises(ConfigError, match="there is no"):
         ConfidenceModels.load(["mine"], [tmp_path / "nothing.pt"])

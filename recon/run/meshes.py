@@ -1,0 +1,33 @@
+"""The meshes that belong to a run: its own, and the ground truth of its data set."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from ..core.errors import DataError, RunError
+from ..core.mesh import Mesh
+from .directory import RunDirectory
+
+
+def load_run_mesh(run: RunDirectory) -> Mesh:
+    """RUN/mesh.ply. Raises RunError if there is no run or it has no mesh yet, DataError if the file is broken."""
+    if not run.mesh_path.is_file():
+        run.require()
+        raise RunError(f"{run.root} has no mesh; make it with `uncle mesh --run {run.root}`")
+    return Mesh.load(run.mesh_path)
+
+
+def load_reference_mesh(run: RunDirectory) -> Mesh:
+    """The ground-truth mesh of the data set. Raises DataError if there is none or the file is gone."""
+    reference = run.load_manifest().reference_mesh
+    if reference is None:
+        raise DataError("the data set has no ground-truth mesh")
+    if not Path(reference).is_file():
+        raise DataError(f"the ground-truth mesh {reference} no longer exists")
+    return Mesh.load(Path(reference))
+
+
+def has_reference_mesh(run: RunDirectory) -> bool:
+    """Whether the data set names a ground-truth mesh and the file exists."""
+    reference = run.load_manifest().reference_mesh
+    return reference is not None and Path(reference).is_file()
