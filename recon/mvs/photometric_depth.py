@@ -1,11 +1,14 @@
-"""Colour as one more sensor of the map: chosen views, their depth, and how far it can be believed."""
+"""Photometric depth: plane-sweep multi-view stereo as one more sensor of the map, with its own noise model.
+
+In several passes: each searches around the surface of the map as it is then, and the map is integrated again with the
+result. Its schedule ends when it is not validated, or when it no longer finds the surface away from the map.
+"""
 
 from __future__ import annotations
 
 import math
-import os
-from collections.abc import Iterator
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
 from typing import Any
 
 import cv2
@@ -15,225 +18,183 @@ from torch import Tensor
 
 from ..core.camera import Camera
 from ..core.config.uncle import PhotometricConfig, UncertaintyConfig
-from ..core.events import OnEvent, ignore, track_progress
+from ..core.events import OnEvent, ignore
 from ..core.frame import Frame
-from ..run.frames import RunFrames
-from ..sensors.noise_model import NoiseModel, Residuals
-from ..volume.tsdf_surface import TsdfSurface
-from .bias_model import CONFIRMED, REFUTED, BiasModel
-from .cost_volume import GreyView
-from .multi_view_consistency import cross_view_residual
-from .plane_sweep import FEATURES, MIN_SOURCES, PlaneSweepView, choose_sources, plane_sweep_depth
+from ..sensors.noise_model import NoiseModel
+from .bias_validation import Validation
+from .photometric_noise import PhotometricNoiseParameters, fit_photometric_noise
+from .photometric_samples import PhotometricDepthImage, PhotometricSamples, SurfaceRays, sample_view
+from .plane_sweep import PlaneSweepView
+from .stereo_views import ColorImages, StereoParameters, SurfaceDepth, compute_stereo_views, stereo_camera
 
-FULL_SIZE_PIXELS = 200_000  # larger images are halved: finer pixels than the map's samples cost time only
-SAMPLES = 4000  # pixels of a view that teach
-MIN_OBSERVING_VIEWS = 3
-MIN_NORMALISED_OFFSET = 1.1 * math.log(
-    2
-)  # betas: from a surface that is right half of the readings are ln 2 away, give or take
-MAX_REGISTRATION_PX = 1.0  # colour that lies further beside its depth is not heard: twice the step of the search
-_STATE = (
-    "passes", "max_normalised_offset", "frames", "indices", "sources", "poses", "depths", "betas", "samples",
-    "confirmed",
-)  # fmt: skip
-SAMPLES_PER_VIEW = 3000  # pixels of a view at which the sensors are heard, too
+
+@dataclass(frozen=True)
+class PhotometricParameters:
+    """Constants of photometric depth that are no settings.
+
+    min_normalised_offset: median offset from the map, in units of beta, that calls for another pass; if the map is
+    right, half of a Laplace distribution lies beyond ln 2, give or take.
+    """
+
+    min_normalised_offset: float = 1.1 * math.log(2)
+    noise: PhotometricNoiseParameters = field(default_factory=PhotometricNoiseParameters)
+
+
+@dataclass(frozen=True)
+class PhotometricView:
+    """A reference view: index of its frame, sources = indices of the frames it was matched with, T_world_camera (4, 4),
+    depth (h, w) and beta (h, w, float16) in metres, 0 = none, at the size of the matched images."""
+
+    index: int
+    sources: tuple[int, ...]
+    T_world_camera: Tensor
+    depth: Tensor
+    beta: Tensor
 
 
 class PhotometricDepth:
-    """Depth by colour of some views, with the beta of each pixel; metres, (h, w) at the size it works at."""
+    """Depth of reference views with the beta of each pixel, and samples of it for comparison with the sensors.
+
+    views: of the latest pass that found any; samples: at their pixels, None before `collect_samples`;
+    validated: an accepted bias correction has confirmed poses and colour calibration;
+    passes: done so far; max_normalised_offset: largest median offset from the map in a pass, in units of beta.
+    """
 
     def __init__(
-        self, camera: Camera, config: PhotometricConfig, uncertainty: UncertaintyConfig, voxel_size_m: float, seed: int
+        self,
+        camera: Camera,
+        config: PhotometricConfig,
+        uncertainty: UncertaintyConfig,
+        voxel_size_m: float,
+        seed: int,
+        parameters: PhotometricParameters = PhotometricParameters(),
     ) -> None:
-        self.voxel_size_m = voxel_size_m
-        self.full, self.config, self.uncertainty, self.seed = camera, config, uncertainty, seed
-        large = camera.width * camera.height > FULL_SIZE_PIXELS
-        self.camera = camera.resized(camera.width // 2, camera.height // 2) if large else camera
-        self.passes = 0  # so far
-        self.max_normalised_offset = (
-            0.0  # of a look: how far the surface is from where it was looked for, median in betas
-        )
-        self.frames = 0  # that the views stand for
-        self.poses: list[Tensor] = []
-        self.depths: list[Tensor] = []
-        self.betas: list[Tensor] = []
-        self.indices: list[int] = []
-        self.sources: list[list[int]] = []  # of each view: the frames that it was compared with
-        self.samples: dict[str, Tensor] = {}
-        self.confirmed = False  # poses and calibration are known to be as exact as it needs
+        self.full_camera, self.config, self.uncertainty = camera, config, uncertainty
+        self.voxel_size_m, self.seed, self.parameters = voxel_size_m, seed, parameters
+        self.stereo = StereoParameters.from_config(config)
+        self.camera = stereo_camera(camera, self.stereo)
+        self.passes = 0
+        self.max_normalised_offset = 0.0
+        self.validated = False
+        self.mapped_frames = 0
+        self.views: list[PhotometricView] = []
+        self.samples: PhotometricSamples | None = None
 
-    def look(
-        self, frames: RunFrames, poses: dict[int, np.ndarray], surface: TsdfSurface, on_event: OnEvent = ignore
+    # --- schedule ----------------------------------------------------------------------------------------------
+    def update(
+        self,
+        frames: ColorImages,
+        poses: Mapping[int, np.ndarray],
+        surface: SurfaceDepth,
+        on_event: OnEvent = ignore,
     ) -> float | None:
-        """Find the depth of views along the trajectory `poses` around `surface`, and learn how noisy it is.
+        """Run one pass: compute the depth of reference views along `poses` around `surface` and train its noise model.
 
-        Returns the mean negative log-likelihood in nats. None if nothing was found: what it said before still holds,
-        and it is not asked again.
+        Returns the mean negative log-likelihood in nats. None if there were too few matches: the result of an earlier
+        pass stays, and no more passes follow.
         """
-        images = self._match(frames, poses, surface, on_event)
-        generator = torch.Generator().manual_seed(self.seed)
-        noise = NoiseModel(self.uncertainty, generator, FEATURES)
-        loss = self._learn(noise, images, generator)
-        self.passes = self.config.max_passes if loss is None else self.passes + 1
-        if loss is None:
+        stereo_views = compute_stereo_views(frames, poses, surface, self.camera, self.config, self.stereo, on_event)
+        fit = fit_photometric_noise(
+            self.camera, stereo_views, self.uncertainty, self.seed, self.parameters.noise
+        )  # fmt: skip
+        self.passes = self.config.max_passes if fit is None else self.passes + 1
+        if fit is None:
             return None
-        self.forget()
-        self.frames = len(poses)
-        for image in images:
-            depth = torch.from_numpy(image.depth)
-            self.indices.append(image.index)
-            self.sources.append(list(image.sources))
-            self.poses.append(torch.from_numpy(image.T_world_camera).float())
-            self.depths.append(depth)
-            self.betas.append(noise.beta_image(depth, torch.from_numpy(image.features).float()).half())
-        moved = [torch.from_numpy(image.moved) for image in images]
-        self.max_normalised_offset = max(self.max_normalised_offset, self._surprise(moved))
+        noise, loss = fit
+        self.clear()
+        self.mapped_frames = len(poses)
+        self.views = [_with_beta(view, noise) for view in stereo_views]
+        offset = self._median_normalised_offset(stereo_views)
+        self.max_normalised_offset = max(self.max_normalised_offset, offset)
         return loss
 
     def needs_another_pass(self) -> bool:
-        """Whether colour is known to be exact, and once found the surface where it was not looked for: that moves the
-        map and the biases of the sensors, and from there it finds more."""
-        return (
-            self.confirmed
-            and self.max_normalised_offset > MIN_NORMALISED_OFFSET
-            and self.passes < self.config.max_passes
-        )
+        """Whether photometric depth is validated and its median normalised offset exceeded the threshold in some pass.
 
-    def judge(self, confirmed: float | None) -> None:
-        """Be known to be exact, or say nothing, given the share of the views of sensors that agree better with each
-        other once they are corrected by what colour says; neither in between, or if None can tell."""
-        if confirmed is not None and confirmed <= REFUTED:
-            self.forget()
-        self.confirmed = confirmed is not None and confirmed >= CONFIRMED
+        Such an offset moves the map and the sensor biases, and the next search starts from a better surface.
+        """
+        moved = self.max_normalised_offset > self.parameters.min_normalised_offset
+        return self.validated and moved and self.passes < self.config.max_passes
 
-    def forget(self) -> None:
-        """Say nothing."""
-        self.depths, self.betas, self.poses, self.indices, self.sources, self.samples = [], [], [], [], [], {}
+    def set_validation(self, result: Validation) -> None:
+        """Accept, reject (clear), or leave undecided."""
+        if result is Validation.REJECTED:
+            self.clear()
+        self.validated = result is Validation.ACCEPTED
 
-    def sample_view(self, frame: Frame, features: dict[str, Tensor], view: int, surface: TsdfSurface) -> None:
-        """Keep what colour, the sensors and the map say at some pixels of a frame that is a view."""
-        depth, beta, T_world_camera = self._at_full_size(view)
-        pixels = depth.view(-1).nonzero()[:, 0]
-        rng = np.random.default_rng((self.seed, view))
-        pixels = pixels[torch.from_numpy(rng.choice(len(pixels), min(SAMPLES_PER_VIEW, len(pixels)), replace=False))]
-        sensors = torch.stack([image.view(-1)[pixels] for image in frame.depths.values()], 1)
-        inputs = torch.stack([image.view(-1, image.shape[-1])[pixels] for image in features.values()], 1)
-        told = {"color": depth.view(-1)[pixels], "beta": beta.view(-1)[pixels]}
-        told |= {"sensors": sensors, "inputs": inputs.half(), "views": torch.full((len(pixels),), view)}
-        rays = self.full.rays().view(-1, 3)[pixels]
-        expected = surface.along(rays, T_world_camera).cpu()
-        told |= {"expected": expected, "directions": rays @ T_world_camera[:3, :3].T}
-        self.samples = {n: torch.cat([self.samples[n], v]) if self.samples else v for n, v in told.items()}
+    def clear(self) -> None:
+        """Drop views and samples."""
+        self.views, self.samples = [], None
 
-    def origins(self) -> Tensor:
-        """(N, 3) where each pixel of the testimony was seen from, world."""
-        return torch.stack(self.poses)[self.samples["views"], :3, 3]
-
-    def points(self) -> Tensor:
-        """(N, 3) where the map is at each pixel of the testimony, world; at the camera where it is nowhere."""
-        return self.origins() + self.samples["expected"][:, None] * self.samples["directions"]
-
-    def against(self, column: int, bias: BiasModel | None = None) -> Residuals:
-        """How far the readings of a sensor, without its `bias`, lie beyond what colour says, which errs by its beta."""
-        depth = self.samples["sensors"][:, column]
-        read = depth > 0
-        inputs = self.samples["inputs"][read, column]
-        off = (depth - self.samples["color"])[read] - (bias.of(inputs.float()) if bias else 0.0)
-        return Residuals(off, inputs, self.samples["beta"][read])
-
-    def readings(self) -> Iterator[tuple[Tensor, Tensor, Tensor]]:
-        """For each view: depth (H, W) and beta (H, W) in metres at the size of the recording, and T_world_camera."""
-        for view in range(len(self.depths)):
-            yield self._at_full_size(view)
-
-    def _at_full_size(self, view: int) -> tuple[Tensor, Tensor, Tensor]:
-        size, images = (self.full.width, self.full.height), (self.depths[view], self.betas[view])
-        depth, beta = (cv2.resize(i.float().numpy(), size, interpolation=cv2.INTER_NEAREST) for i in images)
-        return torch.from_numpy(depth), torch.from_numpy(beta), self.poses[view]
-
-    def related(self) -> np.ndarray:
-        """(V, V) bool: views that were compared with each other, or with the same frame; each with itself."""
-        used = [{index, *others} for index, others in zip(self.indices, self.sources, strict=True)]
-        return np.array([[not one.isdisjoint(other) for other in used] for one in used])
+    # --- results -----------------------------------------------------------------------------------------------
+    @property
+    def indices(self) -> list[int]:
+        """Frame indices of the reference views."""
+        return [view.index for view in self.views]
 
     @property
     def frames_per_view(self) -> float:
-        return self.frames / max(len(self.depths), 1)
+        """Number of mapped frames that one reference view stands for."""
+        return self.mapped_frames / max(len(self.views), 1)
 
+    def depth_images(self) -> Iterator[PhotometricDepthImage]:
+        """Depth and beta of each reference view at the size of the recording."""
+        for view in self.views:
+            yield self._at_full_size(view)
+
+    def collect_samples(self, views: Iterable[tuple[Frame, Mapping[str, Tensor]]], surface: SurfaceRays) -> None:
+        """Sample the reference views, given their frames with noise model inputs (H, W, F) by sensor, in order."""
+        parts = []
+        for number, (frame, inputs) in enumerate(views):
+            image = self._at_full_size(self.views[number])
+            count = self.config.samples_per_view
+            parts.append(
+                sample_view(number, image, frame.depths, inputs, self.full_camera, surface, count, self.seed)
+            )  # fmt: skip
+        self.samples = PhotometricSamples.concatenate(parts)
+
+    def share_source_images(self) -> np.ndarray:
+        """(V, V) bool: pairs of views with an image in common, whose errors are dependent; True on the diagonal."""
+        images = [{view.index, *view.sources} for view in self.views]
+        return np.array([[not one.isdisjoint(other) for other in images] for one in images])
+
+    def _at_full_size(self, view: PhotometricView) -> PhotometricDepthImage:
+        size = (self.full_camera.width, self.full_camera.height)
+        depth, beta = (
+            cv2.resize(image.float().numpy(), size, interpolation=cv2.INTER_NEAREST)
+            for image in (view.depth, view.beta)
+        )
+        return PhotometricDepthImage(torch.from_numpy(depth), torch.from_numpy(beta), view.T_world_camera)
+
+    def _median_normalised_offset(self, stereo_views: Sequence[PlaneSweepView]) -> float:
+        """Median offset from the map in units of beta, over pixels whose beta is below the voxel size."""
+        ratios = []
+        for view, stereo_view in zip(self.views, stereo_views, strict=True):
+            used = (view.depth > 0) & (view.beta < self.voxel_size_m)
+            ratios.append(torch.from_numpy(stereo_view.offset_from_prior)[used] / view.beta[used].float())
+        return float(torch.cat(ratios).median()) if any(map(len, ratios)) else 0.0
+
+    # --- checkpoint --------------------------------------------------------------------------------------------
     def state_dict(self) -> dict[str, Any]:
-        """Plain tensors that `load_state_dict` continues from."""
-        return {name: getattr(self, name) for name in _STATE}
+        """Plain tensors and containers that `load_state_dict` continues from."""
+        return {
+            "passes": self.passes,
+            "max_normalised_offset": self.max_normalised_offset,
+            "validated": self.validated,
+            "mapped_frames": self.mapped_frames,
+            "views": [dict(vars(view)) for view in self.views],
+            "samples": self.samples.state_dict() if self.samples is not None else None,
+        }
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
-        for name in _STATE:
-            setattr(self, name, state[name])
+        """Continue from a state with the same settings."""
+        self.passes, self.mapped_frames = state["passes"], state["mapped_frames"]
+        self.max_normalised_offset, self.validated = state["max_normalised_offset"], state["validated"]
+        self.views = [PhotometricView(**view) for view in state["views"]]
+        self.samples = PhotometricSamples(**state["samples"]) if state["samples"] is not None else None
 
-    # --- views -------------------------------------------------------------------------------------------------
-    def _match(
-        self, frames: RunFrames, poses: dict[int, np.ndarray], surface: TsdfSurface, on_event: OnEvent
-    ) -> list[PlaneSweepView]:
-        chosen = self._choose(poses, surface)
-        if len(chosen) <= MIN_SOURCES:
-            return []
-        views = [GreyView(index, self._grey(frames, index), poses[index]) for index in chosen]
-        matrices = np.stack([view.T_world_camera for view in views])
 
-        def work(row: int) -> PlaneSweepView | None:
-            prior = surface.depth_from(self.camera, matrices[row])
-            if not (prior > 0).any():
-                return None
-            sources = choose_sources(self.camera, matrices, row, float(np.median(prior[prior > 0])))
-            if len(sources) < MIN_SOURCES:
-                return None
-            return plane_sweep_depth(self.camera, views[row], [views[s] for s in sources], prior)
-
-        with ThreadPoolExecutor(os.cpu_count() or 1) as pool:
-            done = track_progress(pool.map(work, range(len(views))), len(views), "comparing colours", on_event, "views")
-            return [image for image in done if image is not None]
-
-    def _choose(self, poses: dict[int, np.ndarray], surface: TsdfSurface) -> list[int]:
-        """Frames between which the camera moved or turned enough to show something new; no more than allowed."""
-        chosen: list[int] = []
-        distance = 1.0
-        for index in sorted(poses):
-            if chosen:
-                step = np.linalg.inv(poses[chosen[-1]]) @ poses[index]
-                turn = np.arccos(np.clip((np.trace(step[:3, :3]) - 1) / 2, -1, 1))
-                if (
-                    np.linalg.norm(step[:3, 3]) < self.config.min_baseline_ratio * distance
-                    and turn < self.config.min_rotation_rad
-                ):
-                    continue
-            chosen.append(index)
-            distance = surface.median_depth(self.camera, poses[index]) or distance
-        every = -(-len(chosen) // self.config.max_views)
-        return chosen[:: max(every, 1)]
-
-    def _grey(self, frames: RunFrames, index: int) -> np.ndarray:
-        grey = cv2.cvtColor(frames.color(index).numpy(), cv2.COLOR_RGB2GRAY)
-        size = (self.camera.width, self.camera.height)
-        small = cv2.resize(grey, size, interpolation=cv2.INTER_AREA) if self.camera is not self.full else grey
-        return small.astype(np.float32)
-
-    def _surprise(self, moved: list[Tensor]) -> float:
-        """Median in betas of how far the depth of each view `moved`, (h, w) metres, where it can tell samples apart."""
-        sure = [(d > 0) & (b < self.voxel_size_m) for d, b in zip(self.depths, self.betas, strict=True)]
-        betas = [m[s] / b[s].float() for m, b, s in zip(moved, self.betas, sure, strict=True)]
-        return float(torch.cat(betas).median()) if any(map(len, betas)) else 0.0
-
-    # --- noise -------------------------------------------------------------------------------------------------
-    def _learn(self, noise: NoiseModel, images: list[PlaneSweepView], generator: torch.Generator) -> float | None:
-        rng = np.random.default_rng(self.seed)
-        features, residuals = [], []
-        for row, image in enumerate(images):
-            pixels = np.flatnonzero(image.depth)
-            pixels = rng.choice(pixels, min(SAMPLES, len(pixels)), replace=False)
-            residual, count = cross_view_residual(self.camera, images, row, pixels)
-            kept = count >= MIN_OBSERVING_VIEWS
-            features.append(image.features.reshape(-1, len(FEATURES))[pixels[kept]])
-            residuals.append(residual[kept])
-        if sum(map(len, residuals)) < SAMPLES:
-            return None
-        inputs = torch.from_numpy(np.concatenate(features))
-        off = torch.from_numpy(np.concatenate(residuals)).float()
-        return noise.learn(Residuals.against_truth(off, inputs), self.uncertainty.steps_per_pass, generator)
+def _with_beta(view: PlaneSweepView, noise: NoiseModel) -> PhotometricView:
+    depth = torch.from_numpy(view.depth)
+    beta = noise.beta_image(depth, torch.from_numpy(view.inputs).float()).half()
+    return PhotometricView(view.index, view.sources, torch.from_numpy(view.T_world_camera).float(), depth, beta)

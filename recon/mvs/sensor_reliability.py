@@ -1,10 +1,10 @@
-"""What a reading of each sensor is worth beside one of colour, found by predicting what colour says.
+"""Estimate a weight factor per sensor that accounts for errors correlated between frames.
 
-Beta says how far a reading is off, not how often readings are off together. A stereo matcher repeats its error in every
-frame that sees the same corner, so many of its readings are worth less than their number, and by how much differs from
-sensor to sensor. Colour can tell: what it says in one view is to be predicted from what is said of the same place in
-other views, by sensors in all of them, by colour in those that have no image in common with it. The factors on the
-weights of the sensors that predict it best are what their readings are worth.
+Beta is the scale of an error, not its correlation. A stereo matcher repeats its error in every frame that sees the same
+corner, so that many of its measurements carry less information than their number, by an amount that differs from sensor
+to sensor. It is estimated by cross-view prediction: photometric depth in one view is predicted from measurements of the
+same place in other views, by sensors in all of them, by photometric depth in those that share no image with it. The
+weight factors that predict it best are the reliabilities of the sensors.
 """
 
 from __future__ import annotations
@@ -22,23 +22,36 @@ from scipy.spatial import cKDTree
 from ..sensors.fusion_weights import FusionWeights
 from ..sensors.noise_model import NoiseModel
 from .bias_model import BiasModel
-from .photometric_depth import PhotometricDepth
+from .photometric_samples import PhotometricSamples
 
-PLACE_VOXELS = 0.75  # readings this near to each other are of the same place
-DEFAULT_RELIABILITY = 1 / 3  # where it cannot be found
-ENOUGH = 1000  # predicted readings
-FARTHEST = 50.0  # from 1: less or more cannot be told from nothing or everything
-MAX_PAIRS = 4_000_000  # of readings of the same place; where there are more, fewer readings are asked
-_COUNTED = 50_000  # readings by which pairs are counted
-_PULL = 1e-3  # of the logarithm towards the start, where nothing is said either way
+DEFAULT_RELIABILITY = 1 / 3  # where it cannot be estimated
+
+
+@dataclass(frozen=True)
+class ReliabilityParameters:
+    """Constants of the estimate.
+
+    radius_voxels: samples closer than this are of the same place; default: where it cannot be estimated; min_samples:
+    predicted samples for an estimate; max_factor: reliabilities lie within 1 / max_factor to max_factor; max_pairs: of
+    samples of the same place, beyond which samples are thinned; regularisation: of the logarithm towards the default;
+    discretisation_voxels: added to the photometric beta in the loss.
+    """
+
+    radius_voxels: float = 0.75
+    default: float = DEFAULT_RELIABILITY
+    min_samples: int = 1000
+    max_factor: float = 50.0
+    max_pairs: int = 4_000_000
+    regularisation: float = 1e-3
+    discretisation_voxels: float = 0.25
 
 
 @dataclass(frozen=True)
 class CrossViewSamples:
-    """What is said of points (N, 3) metres on the surface of the map, each from a view (N,).
+    """Measurements of N points on the surface of the map, each from one view, by the S sensors and photometric depth.
 
-    offsets, weights (N, S + 1): how far beyond the surface sensors and, last, colour see it, metres, not finite where
-    they say nothing; and what that weighs. beta (N,): of colour there, metres.
+    points (N, 3) metres; views (N,) numbers; offsets (N, S + 1): signed distance behind the surface, metres, NaN = no
+    measurement, photometric depth last; weights (N, S + 1): fusion weights; beta (N,): of photometric depth, metres.
     """
 
     points: np.ndarray
@@ -48,88 +61,109 @@ class CrossViewSamples:
     beta: np.ndarray
 
 
-def statements(
-    witness: PhotometricDepth,
+def collect_samples(
+    samples: PhotometricSamples,
     noise: Mapping[str, NoiseModel],
     biases: Mapping[str, BiasModel],
     weights: FusionWeights,
     truncation_m: float,
 ) -> CrossViewSamples:
-    """What the witness heard of points on the map, with the uncertainty, biases and weights of the sensors as they are
-    now; readings farther from the map than its truncation say nothing."""
-    told, offsets, weighs = witness.samples, [], []
-    views = told["views"].unique().tolist()
-    for column, (sensor, model) in enumerate(noise.items()):
-        depth, inputs = told["sensors"][:, column], told["inputs"][:, column].float()
+    """Offsets and weights at photometric samples with the current noise and bias models.
+
+    Columns are in the order of `samples.sensors`. Measurements farther from the map than its truncation are left out.
+    """
+    views = samples.view.unique().tolist()
+    offsets, sensor_weights = [], []
+    for sensor in samples.sensors:
+        depth, inputs = samples.measured_by(sensor)
+        inputs, model = inputs.float(), noise[sensor]
         beta = model.beta_image(depth.to(model.device), inputs.to(model.device)).cpu()
-        offset = depth - biases[sensor].of(inputs) - told["expected"]
+        offset = depth - biases[sensor].offset(inputs) - samples.map_depth
         offsets.append(torch.where(depth > 0, offset, torch.nan))
         weight = torch.empty_like(beta)
         for view in views:
-            of_view = told["views"] == view
+            of_view = samples.view == view
             weight[of_view] = weights.for_sensor(beta[of_view], depth[of_view] > 0, sensor)[0]
-        weighs.append(weight)
-    offset = torch.stack([*offsets, told["color"] - told["expected"]], 1)
+        sensor_weights.append(weight)
+    offset = torch.stack([*offsets, samples.depth - samples.map_depth], 1)
     offset[offset.abs() >= truncation_m] = torch.nan
-    weight = torch.stack([*weighs, weights.of(told["beta"].float())], 1)
-    seen = told["expected"] > 0
-    columns = (witness.points(), told["views"], offset, weight, told["beta"].float())
-    return CrossViewSamples(*(values[seen].numpy() for values in columns))
+    beta = samples.beta.float()
+    weight = torch.stack([*sensor_weights, weights.of(beta)], 1)
+    used = samples.map_depth > 0
+    columns = (samples.points(), samples.view, offset, weight, beta)
+    return CrossViewSamples(*(values[used].numpy() for values in columns))
 
 
 def estimate_reliability(
-    said: CrossViewSamples, related: np.ndarray, voxel_size_m: float, sensors: Sequence[str]
+    samples: CrossViewSamples,
+    dependent_views: np.ndarray,
+    voxel_size_m: float,
+    sensors: Sequence[str],
+    parameters: ReliabilityParameters = ReliabilityParameters(),
 ) -> dict[str, float]:
-    """By sensor, the factor on its weights with which colour of each view is best predicted by other views.
+    """By sensor, the factor on its weights with which photometric depth of a view is best predicted by other views.
 
-    related (V, V) bool: views with an image in common, whose colours predict nothing of each other. Where it makes no
-    difference, or colour says too little that can be predicted, a reading is worth `DEFAULT_RELIABILITY`.
+    `sensors` are in the order of the columns of `samples`. dependent_views (V, V) bool: pairs of views that share an
+    image, whose photometric depths do not predict each other. A factor without influence, or all of them if too few
+    samples can be predicted, stay at the default.
     """
-    first = np.full(len(sensors), np.log(DEFAULT_RELIABILITY))
-    said = _thinned(said, PLACE_VOXELS * voxel_size_m)
-    weights, sums = _sums_of_others(said, related, PLACE_VOXELS * voxel_size_m)
-    known = np.isfinite(said.offsets[:, -1]) & (said.beta < voxel_size_m)
-    known &= (weights > 0).sum(1) > 1  # where one alone speaks, its factor makes no difference
-    if known.sum() < ENOUGH:
-        return dict.fromkeys(sensors, DEFAULT_RELIABILITY)
-    wanted, scale = said.offsets[known, -1], np.hypot(said.beta[known], 0.25 * voxel_size_m)
-    weights, sums = weights[known], sums[known]
+    if samples.offsets.shape[1] != len(sensors) + 1:
+        raise ValueError(f"{samples.offsets.shape[1]} columns for {len(sensors)} sensors and photometric depth")
+    radius_m = parameters.radius_voxels * voxel_size_m
+    start = np.full(len(sensors), np.log(parameters.default))
+    samples = thin_samples(samples, radius_m, parameters.max_pairs)
+    weights, products = _sums_of_other_views(samples, dependent_views, radius_m)
+    used = np.isfinite(samples.offsets[:, -1]) & (samples.beta < voxel_size_m)
+    used &= (weights > 0).sum(1) > 1  # the factor of a sole source has no influence on its mean
+    if used.sum() < parameters.min_samples:
+        return dict.fromkeys(sensors, parameters.default)
+    target = samples.offsets[used, -1]
+    scale = np.hypot(samples.beta[used], parameters.discretisation_voxels * voxel_size_m)
+    weights, products = weights[used], products[used]
 
-    def loss(logarithms: np.ndarray) -> float:
-        factors = np.append(np.exp(logarithms), 1.0)
-        predicted = sums @ factors / np.maximum(weights @ factors, 1e-12)
-        pull = _PULL * np.square(logarithms - first).sum()
-        return float((np.abs(wanted - predicted) / scale).mean() + pull)
+    def loss(log_factors: np.ndarray) -> float:
+        factors = np.append(np.exp(log_factors), 1.0)
+        predicted = products @ factors / np.maximum(weights @ factors, 1e-12)
+        penalty = parameters.regularisation * np.square(log_factors - start).sum()
+        return float((np.abs(target - predicted) / scale).mean() + penalty)
 
-    corners = np.vstack([first, first - np.eye(len(first))])
-    options = {"initial_simplex": corners, "xatol": 0.02, "fatol": 1e-6}
-    limits = [(-np.log(FARTHEST), np.log(FARTHEST))] * len(first)
-    best = minimize(loss, first, method="Nelder-Mead", bounds=limits, options=options).x
-    return dict(zip(sensors, np.exp(best).tolist(), strict=True))
-
-
-def _thinned(said: CrossViewSamples, radius_m: float) -> CrossViewSamples:
-    """So few of the statements that there are about `MAX_PAIRS` within `radius_m` of each other."""
-    few = 1 + len(said.points) // _COUNTED
-    tree = cKDTree(said.points[::few])
-    pairs = few**2 * (tree.count_neighbors(tree, radius_m) - tree.n) / 2
-    step = max(1, math.ceil(math.sqrt(pairs / MAX_PAIRS)))
-    return CrossViewSamples(*(values[::step] for values in vars(said).values()))
+    simplex = np.vstack([start, start - np.eye(len(start))])
+    options = {"initial_simplex": simplex, "xatol": 0.02, "fatol": 1e-6}
+    bounds = [(-np.log(parameters.max_factor), np.log(parameters.max_factor))] * len(start)
+    log_factors = minimize(loss, start, method="Nelder-Mead", bounds=bounds, options=options).x
+    return dict(zip(sensors, np.exp(log_factors).tolist(), strict=True))
 
 
-def _sums_of_others(said: CrossViewSamples, related: np.ndarray, radius_m: float) -> tuple[np.ndarray, np.ndarray]:
-    """(N, S + 1) weights, and weights times offsets, of what other views say of each place; for colour, last, those
-    that are not related."""
-    near = cKDTree(said.points).query_pairs(radius_m, output_type="ndarray")
-    place, other = np.concatenate([near, near[:, ::-1]]).T
-    views = said.views[place], said.views[other]
-    others, independent = (_sum_over(place[m], other[m], said) for m in (views[0] != views[1], ~related[views]))
-    there = np.isfinite(said.offsets)
-    weights = np.where(there, said.weights, 0.0)
-    products = weights * np.where(there, said.offsets, 0.0)
-    return tuple(np.column_stack([others @ v[:, :-1], independent @ v[:, -1:]]) for v in (weights, products))
+_COUNTED = 50_000  # samples by which pairs are counted: speed only
 
 
-def _sum_over(place: np.ndarray, other: np.ndarray, said: CrossViewSamples) -> csr_array:
-    """The (N, N) matrix that sums over the others that each place is paired with."""
-    return coo_array((np.ones(len(place), np.float32), (place, other)), shape=(len(said.views),) * 2).tocsr()
+def thin_samples(samples: CrossViewSamples, radius_m: float, max_pairs: int) -> CrossViewSamples:
+    """Every n-th sample, so that about `max_pairs` pairs lie within `radius_m` of each other."""
+    every = 1 + len(samples.points) // _COUNTED
+    tree = cKDTree(samples.points[::every])
+    pairs = every**2 * (tree.count_neighbors(tree, radius_m) - tree.n) / 2
+    step = max(1, math.ceil(math.sqrt(pairs / max_pairs)))
+    return CrossViewSamples(*(values[::step] for values in vars(samples).values()))
+
+
+def _sums_of_other_views(
+    samples: CrossViewSamples, dependent_views: np.ndarray, radius_m: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """(N, S + 1) sums of weights and of weights times offsets at each place, over other views; for photometric depth,
+    the last column, over independent ones."""
+    pairs = cKDTree(samples.points).query_pairs(radius_m, output_type="ndarray")
+    place, other = np.concatenate([pairs, pairs[:, ::-1]]).T
+    views = samples.views[place], samples.views[other]
+    other_views = _pair_sums(place, other, views[0] != views[1], len(samples.views))
+    independent = _pair_sums(place, other, ~dependent_views[views], len(samples.views))
+    measured = np.isfinite(samples.offsets)
+    weights = np.where(measured, samples.weights, 0.0)
+    products = weights * np.where(measured, samples.offsets, 0.0)
+    sums = [np.column_stack([other_views @ v[:, :-1], independent @ v[:, -1:]]) for v in (weights, products)]
+    return sums[0], sums[1]
+
+
+def _pair_sums(place: np.ndarray, other: np.ndarray, used: np.ndarray, count: int) -> csr_array:
+    """The (count, count) matrix that sums at each place over the others that it is paired with, where `used`."""
+    place, other = place[used], other[used]
+    return coo_array((np.ones(len(place), np.float32), (place, other)), shape=(count, count)).tocsr()

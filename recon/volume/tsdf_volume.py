@@ -136,20 +136,41 @@ class TsdfVolume:
         color: Tensor | None,
         T_world_camera: Tensor,
         free_space: FreeSpace | None = None,
-        deintegrate_block_count: int | None = None,
     ) -> None:
         """Add one depth image: depth (H, W) metres, weight (H, W) or None = 1, color (H, W, 3) uint8 or None.
-
-        With `deintegrate_block_count`, the number of blocks there were when the same image was added, the image is
-        subtracted again.
 
         Every allocated block in view takes part, so that a reading also speaks for the free space before it. How
         loudly it does is its weight again, or, with `free_space`, what that says.
         """
+        self._accumulate(depth, weight, color, T_world_camera, free_space, len(self.grid.blocks), 1.0)
+
+    def deintegrate(
+        self,
+        depth: Tensor,
+        weight: Tensor | None,
+        color: Tensor | None,
+        T_world_camera: Tensor,
+        free_space: FreeSpace | None,
+        block_count: int,
+    ) -> None:
+        """Subtract a depth image that was added by `integrate` with the same arguments, when there were `block_count`
+        blocks."""
+        self._accumulate(depth, weight, color, T_world_camera, free_space, block_count, -1.0)
+
+    def _accumulate(
+        self,
+        depth: Tensor,
+        weight: Tensor | None,
+        color: Tensor | None,
+        T_world_camera: Tensor,
+        free_space: FreeSpace | None,
+        block_count: int,
+        sign: float,
+    ) -> None:
         T_camera_world = torch.linalg.inv(T_world_camera.double()).float()
-        sign, visible = 1.0, self._visible(depth, T_camera_world)
-        if deintegrate_block_count is not None:
-            sign, visible = -1.0, visible[visible < deintegrate_block_count]
+        visible = self._visible(depth, T_camera_world)
+        if block_count < len(self.grid.blocks):
+            visible = visible[visible < block_count]
         free = (None, None) if free_space is None or weight is None else (free_space.weight, free_space.scale_m)
         integrate(
             self.sums, self.color_sums, visible, self.grid.blocks[visible].float() * self.grid.block_size_m,

@@ -48,13 +48,13 @@ class UncertaintyConfig(Strict):
 
 
 class KeyframeConfig(Strict):
-    """Which frames lend their pixels to the learning."""
+    """Frames whose pixels are kept for learning."""
 
     max_overlap: float = Field(
-        0.9, gt=0, le=1.0, description="A frame is a keyframe if no earlier one sees more of it than this share."
+        0.9, gt=0, le=1.0, description="A frame is a keyframe if no earlier one sees more than this fraction of it."
     )
-    rays: int = Field(3000, ge=100, description="Pixels drawn from a keyframe.")
-    max_rays: int = Field(400_000, ge=1000, description="Pixels kept in all; beyond it random ones make place.")
+    rays: int = Field(3000, ge=100, description="Random pixels kept of a keyframe.")
+    max_rays: int = Field(400_000, ge=1000, description="Pixels kept in all; beyond it random ones are dropped.")
 
 
 class FieldConfig(Strict):
@@ -63,8 +63,16 @@ class FieldConfig(Strict):
     iterations: int = Field(
         200, ge=0, description="Steps of the refinement by rendering; 0: the field is the fused map."
     )
-    rays: int = Field(2048, ge=64, description="Rays rendered in each step, half of them of colour where it is heard.")
-    samples: int = Field(8, ge=4, description="Samples on each ray, around the present surface.")
+    rays: int = Field(
+        2048, ge=64, description="Rays rendered in each step, half of them of photometric depth where there is any."
+    )
+    samples: int = Field(8, ge=4, description="Samples on each ray, around the current surface.")
+    span_voxels: float = Field(
+        2.5, gt=0, description="Distance from the surface up to which a ray is sampled on either side, voxels."
+    )
+    sharpness_voxels: float = Field(
+        0.4, gt=0, description="Width of the rendering weights around the surface, voxels; well below the span."
+    )
     levels: tuple[Annotated[int, Field(ge=1, le=64)], ...] = Field(
         (4, 12), description="Cell sizes of the coarser feature grids, 1 to 64 voxels each."
     )
@@ -74,33 +82,53 @@ class FieldConfig(Strict):
         1e-4, gt=0, description="Step size of Adam for the offsets at the samples near the surface, metres."
     )
     learning_rate: float = Field(
-        2.5e-3,
-        gt=0,
-        description="Step size of Adam for the feature grids and the decoder; a tenth of it without colour.",
+        2.5e-3, gt=0, description="Step size of Adam for the feature grids and the decoder."
+    )
+    sensor_only_rate_ratio: float = Field(
+        0.1, gt=0, le=1, description="Factor on that step size where there is no photometric depth."
+    )
+    final_rate_ratio: float = Field(
+        0.05, gt=0, le=1, description="Factor on both step sizes that is reached at the last step."
     )
     color_weight: float = Field(0.1, ge=0, description="Weight of the colour error beside the likelihood of depth.")
-    prior_weight: float = Field(1.0, ge=0, description="Weight of the pull back to the fused distances.")
+    prior_weight: float = Field(1.0, ge=0, description="Weight of the penalty on offsets from the fused distances.")
 
 
 class PhotometricConfig(Strict):
-    """Colour as one more witness of where the surface is: depth by matching views."""
+    """Photometric depth: plane-sweep multi-view stereo around the surface of the map."""
 
     enabled: bool = Field(
-        True, description="Correct the surface by what colours of several views agree on; needs the uncertainty."
+        True, description="Correct the map by multi-view stereo of the colour images; needs the uncertainty."
     )
     max_passes: int = Field(
         3,
         ge=1,
-        description="Times that colour is asked, each before a sweep; once if it finds the surface where it is.",
+        description="Maximum number of photometric passes; stops early when the median offset from the map is within "
+        "its own error.",
     )
     estimate_reliability: bool = Field(
-        True, description="Find what readings of each sensor are worth by predicting colour; else all a third."
+        True,
+        description="Estimate the reliability of each sensor by cross-view prediction; false: one third for all.",
     )
-    max_views: int = Field(150, ge=3, description="Views whose depth is looked for, at most.")
+    max_views: int = Field(150, ge=3, description="Maximum number of reference views.")
     min_baseline_ratio: float = Field(
-        0.03, gt=0, description="A view is chosen when the camera moved by this share of the depth it sees,"
+        0.03, gt=0, description="A frame becomes a reference view when the camera moved by this fraction of the depth."
     )
-    min_rotation_rad: float = Field(0.07, gt=0, description="or turned by this angle, radians.")
+    min_rotation_rad: float = Field(
+        0.07, gt=0, description="A frame becomes a reference view when the camera rotated by this angle, radians."
+    )
+    max_sources: int = Field(6, ge=2, le=32, description="Maximum number of source views of a reference view.")
+    window_px: int = Field(9, ge=3, le=31, description="Side of the matching window, pixels.")
+    search_px: float = Field(
+        4.0, gt=0, le=64, description="Half width of the search around the map, pixels of the most distant source."
+    )
+    step_px: float = Field(0.5, gt=0, le=4, description="Step of the search, pixels of the most distant source.")
+    max_registration_px: float = Field(
+        1.0, ge=0, description="Photometric depth is skipped if the colour-depth registration error is larger, pixels."
+    )
+    samples_per_view: int = Field(
+        3000, ge=100, description="Pixels of a reference view at which it is compared with the sensors."
+    )
 
 
 class TrackingConfig(Strict):

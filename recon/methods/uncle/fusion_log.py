@@ -1,8 +1,9 @@
-"""What was fused from where and with which noise models, so that a frame can be taken out when its camera moves."""
+"""Record of how each frame was integrated, so that it can be de-integrated exactly when its pose changes."""
 
 from __future__ import annotations
 
 import copy
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -11,53 +12,79 @@ from torch import Tensor
 
 from ...sensors.noise_model import NoiseModel
 
-LEVER_M = 2.0  # a turn moves what is this far away
+
+@dataclass(frozen=True)
+class FusionLogParameters:
+    """lever_m: distance at which a rotation is counted as a displacement."""
+
+    lever_m: float = 2.0
 
 
 @dataclass(frozen=True)
-class Entry:
-    """T_world_camera (4, 4) that a frame was fused from; which snapshot of the models; how many blocks the map had."""
+class IntegrationRecord:
+    """Pose T_world_camera (4, 4) that a frame was integrated with, number of the snapshot of the noise models, and
+    number of blocks of the map at that time."""
 
     T_world_camera: Tensor
     snapshot: int
-    blocks: int
+    block_count: int
 
 
 class FusionLog:
-    """Entries by frame index, and the snapshots of the noise models that they share."""
+    """Integration records by frame index, and the snapshots of the noise models that they share."""
 
-    def __init__(self) -> None:
-        self.entries: dict[int, Entry] = {}
+    def __init__(self, parameters: FusionLogParameters = FusionLogParameters()) -> None:
+        self.parameters = parameters
+        self.records: dict[int, IntegrationRecord] = {}
         self.snapshots: list[dict[str, dict[str, Tensor]]] = []
 
-    def note(self, index: int, T_world_camera: Tensor, noise: dict[str, NoiseModel], blocks: int) -> None:
-        """Remember how a frame is about to be fused."""
-        now = {sensor: model.state_dict() for sensor, model in noise.items()}
-        if not self.snapshots or not _same(now, self.snapshots[-1]):
-            self.snapshots.append(copy.deepcopy(now))
-        self.entries[index] = Entry(T_world_camera.clone(), len(self.snapshots) - 1, blocks)
+    def add(self, index: int, T_world_camera: Tensor, noise: Mapping[str, NoiseModel], block_count: int) -> None:
+        """Record that a frame is integrated with that pose and those noise models."""
+        weights = {sensor: model.state_dict() for sensor, model in noise.items()}
+        if not self.snapshots or not _equal(weights, self.snapshots[-1]):
+            self.snapshots.append(copy.deepcopy(weights))
+        self.records[index] = IntegrationRecord(T_world_camera.clone(), len(self.snapshots) - 1, block_count)
 
-    def models(self, entry: Entry, like: dict[str, NoiseModel]) -> dict[str, NoiseModel]:
-        """The noise models as they were then."""
-        models = copy.deepcopy(like)
+    def noise_models(self, record: IntegrationRecord, current: Mapping[str, NoiseModel]) -> dict[str, NoiseModel]:
+        """Copies of the `current` noise models with the weights they had at the time of `record`."""
+        models = copy.deepcopy(dict(current))
         for sensor, model in models.items():
-            model.load_state_dict(self.snapshots[entry.snapshot][sensor])
+            model.load_state_dict(self.snapshots[record.snapshot][sensor])
         return models
 
-    def moved(self, poses: dict[int, Tensor], limit_m: float) -> list[int]:
-        """Indices of the fused frames whose camera (4, 4) is no longer where it was, by more than `limit_m`."""
-        return [i for i, entry in self.entries.items() if i in poses and _distance(entry, poses[i]) > limit_m]
+    def moved_frames(self, poses: Mapping[int, Tensor], limit_m: float) -> list[int]:
+        """Indices of integrated frames whose pose (4, 4) differs by more than `limit_m` from that of the integration."""
+        return [
+            index
+            for index, record in self.records.items()
+            if index in poses and self._displacement(record, poses[index]) > limit_m
+        ]
+
+    def corrections(self, poses: Mapping[int, Tensor]) -> dict[int, Tensor]:
+        """By frame index, the motion T_new_old (4, 4) in world axes from the pose of the integration to that of `poses`."""
+        return {
+            index: poses[index] @ torch.linalg.inv(record.T_world_camera)
+            for index, record in self.records.items()
+            if index in poses
+        }
 
     def clear(self) -> None:
-        self.entries, self.snapshots = {}, []
+        """Drop all records."""
+        self.records, self.snapshots = {}, []
 
     def state_dict(self) -> dict[str, Any]:
-        """Plain tensors and containers."""
-        return {"entries": {i: tuple(vars(e).values()) for i, e in self.entries.items()}, "snapshots": self.snapshots}
+        """Plain tensors and containers that `load_state_dict` continues from."""
+        return {
+            "records": {index: dict(vars(record)) for index, record in self.records.items()},
+            "snapshots": self.snapshots,
+        }
 
     def load_state_dict(self, state: dict[str, Any], device: torch.device | str = "cpu") -> None:
-        """`device`: that of the map, which poses and models are compared on."""
-        self.entries = {i: Entry(T.to(device), *others) for i, (T, *others) in state["entries"].items()}
+        """Continue from a state; tensors go to `device`, that of the map."""
+        self.records = {
+            index: IntegrationRecord(**{**record, "T_world_camera": record["T_world_camera"].to(device)})
+            for index, record in state["records"].items()
+        }
         self.snapshots = [
             {
                 sensor: {name: values.to(device) for name, values in weights.items()}
@@ -66,13 +93,12 @@ class FusionLog:
             for models in state["snapshots"]
         ]
 
+    def _displacement(self, record: IntegrationRecord, T_world_camera: Tensor) -> float:
+        """How far points `lever_m` away from the camera move, metres."""
+        step = torch.linalg.inv(record.T_world_camera.double()) @ T_world_camera.double()
+        angle = torch.arccos(((torch.trace(step[:3, :3]) - 1) / 2).clamp(-1, 1))
+        return float(torch.linalg.norm(step[:3, 3]) + self.parameters.lever_m * angle)
 
-def _distance(entry: Entry, T_world_camera: Tensor) -> float:
-    """How far what the camera sees has moved, metres."""
-    step = torch.linalg.inv(entry.T_world_camera.double()) @ T_world_camera.double()
-    turn = torch.arccos(((torch.trace(step[:3, :3]) - 1) / 2).clamp(-1, 1))
-    return float(torch.linalg.norm(step[:3, 3]) + LEVER_M * turn)
 
-
-def _same(first: dict[str, dict[str, Tensor]], second: dict[str, dict[str, Tensor]]) -> bool:
+def _equal(first: dict[str, dict[str, Tensor]], second: dict[str, dict[str, Tensor]]) -> bool:
     return all(torch.equal(values, second[s][name]) for s, state in first.items() for name, values in state.items())

@@ -1,56 +1,56 @@
-"""The method: fuse, learn where the sensors err, fuse again with that knowledge, refine by rendering."""
+"""The method UncLe: online pass, consistent trajectory, offline integration passes, refinement by rendering."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-import torch
-from torch import Tensor
 
 from ...core.config.map_config import MapConfig
-from ...core.device import choose_device
 from ...core.errors import DataError
-from ...core.events import Note, OnEvent, Progress, ignore
-from ...core.frame import Frame
-from ...mvs.bias_correction import CONSISTENCY_TEST_VIEWS
-from ...mvs.photometric_depth import MAX_REGISTRATION_PX
+from ...core.events import OnEvent, Progress, ignore
 from ...run.checkpoint import Checkpoint
 from ...run.frames import RunFrames
 from ...run.tracking_record import TrackingRecord
 from ...sensors.noise_prior import NoisePrior
-from ...tracking.base import Tracker, require_found
-from ...tracking.factory import choose_tracker
+from ...tracking.base import require_found
 from ...volume.neural_field import NeuralField
 from ..base import OnBeta
-from .mapper import Mapper
-from .progress import RunProgress
-from .refinement import refine_field
-
-
-@dataclass(frozen=True)
-class View:
-    """A frame, by sensor the (H, W, F) features that its uncertainty is learned from, and what its tracker prepared."""
-
-    frame: Frame
-    features: dict[str, Tensor]
-    prepared: Any = None
+from .noise_learning import MapEvidence
+from .online_pass import adopt_final_poses, track_and_integrate
+from .photometric_pass import update_photometric_depth
+from .ray_batch import RayBatch, photometric_rays, sensor_rays
+from .refinement import refine_map
+from .sensor_weighting import sensor_reliability
+from .state import ReconstructionState, resume, save, start
+from .views import View, stream_views, views_of_pass
 
 
 @dataclass(frozen=True)
 class Reconstruction:
-    """field, T_world_camera of each mapped frame, likelihood curves by name (nats), seconds by part; how sure the poses
-    are, if they were tracked."""
+    """Result: field; T_world_camera (4, 4) by frame index; likelihood curves by name, nats; seconds by part; tracking:
+    status and covariance of tracked poses, None for given ones; state: the parts of the method as they ended."""
 
-    mapper: Mapper
     field: NeuralField
     poses: dict[int, np.ndarray]
     curves: dict[str, list[float]]
     seconds: dict[str, float]
     tracking: TrackingRecord | None
+    state: ReconstructionState
+
+    def facts(self) -> dict[str, Any]:
+        """What the manifest records of the sensors and the map, plain JSON values."""
+        state = self.state
+        return {
+            "keyframes": len(state.keyframes),
+            "bias_test_improved_ratio": _rounded(state.biases.improved_fraction),
+            "bias_corrected_sensors": sorted(state.biases.active()),
+            "sensor_reliability": _rounded(state.mapper.weights.worth),
+            "error_quantiles_in_beta": {s: values for s, values in state.noise.error_quantiles.items() if values},
+            "sensor_weight_share": _rounded(state.mapper.weight_sums.shares()),
+        }
 
 
 def reconstruct(
@@ -62,219 +62,141 @@ def reconstruct(
     on_event: OnEvent = ignore,
     prior: NoisePrior | None = None,
 ) -> Reconstruction:
-    """Reconstruct `indices` of `frames`. Continues from `checkpoint` if it holds a state, with the same result.
+    """Reconstruct the frames `indices`. Continues from `checkpoint` if it holds a state, with the same result.
 
-    The noise models of sensors that are in `prior` start from it.
-
-    The first sweep explores: track, map, record, frame by frame, learning the noise online. Then the trajectory is
-    made consistent, and each later sweep fuses all frames again with poses and weights as known by then. Colour that
-    finds the surface elsewhere is asked again around the new one, with a sweep after each time. At last the field is
-    refined by rendering, and beta maps are written.
+    The noise models of sensors that are in `prior` start from it. Raises DataError if no frame can be mapped.
     """
-    mapper = Mapper(frames.camera, frames.sensors, config, choose_device(config.device))
-    if prior is not None:
-        prior.teach(mapper.noise)
-    tracker = choose_tracker(frames, config, mapper.noise, mapper.volume)
-    progress = _restore(checkpoint, mapper, tracker, on_event)
-    if progress is None:  # poses that moved need one more sweep
-        progress = RunProgress(last=max(config.fusion.passes, int(config.tracking.enabled)))
-    while progress.sweep <= progress.last:
-        sweep = progress.sweep
-        for view in _sweep_views(frames, indices, sweep, mapper, tracker, progress, on_event):
-            if sweep == 0:
-                _explore(view, frames, mapper, tracker, progress)
+    state = start(frames, config, prior)
+    resume(state, checkpoint, on_event)
+    progress, photometric = state.progress, state.photometric
+
+    while progress.current_pass <= progress.last_pass:
+        online = progress.current_pass == 0
+        for view in views_of_pass(state, indices, on_event):
+            if online:
+                track_and_integrate(state, view)  # estimates the pose, trains the noise models on new keyframes
             else:
-                _fuse(view, mapper, progress)
+                integrate_again(state, view)  # with the poses, noise models, biases and weights known by now
             progress.position += 1
             if checkpoint.due():
-                _save(checkpoint, mapper, tracker, progress)
-        if config.tracking.enabled:
-            require_found(progress.poses, len(indices))
-        _end_sweep(frames, mapper, tracker, progress, on_event)
-        if sweep < progress.last:
-            mapper.clear_volume()
-        progress.sweep, progress.position = sweep + 1, 0
-        if checkpoint.due() or sweep == progress.last:  # what follows writes much, and the disk may be full
-            _save(checkpoint, mapper, tracker, progress)
+                save(state, checkpoint)
+        require_map(state, len(indices))
+
+        if online:
+            learn_noise(state)
+            adopt_final_poses(state)
+            updated = update_photometric_depth(state, on_event)
+        else:
+            integrate_photometric_depth(state)
+            updated = photometric.needs_another_pass() and update_photometric_depth(state, on_event)
+
+        if updated and photometric.needs_another_pass():
+            # One pass integrates this update, and the one after it the update around the surface that results.
+            progress.last_pass = max(progress.last_pass, progress.current_pass + 2)
+        if updated or not online:
+            learn_noise(state)
+        if updated:
+            estimate_sensor_reliability(state)
+
+        was_last = progress.is_last_pass
+        if not was_last:
+            state.mapper.clear_volume()
+        progress.start_next_pass()
+        if was_last or checkpoint.due():  # what follows the last pass writes much, and the disk may be full
+            save(state, checkpoint)
+
     with progress.timed("refining"):
-        result, losses = refine_field(mapper, config, on_event)
+        has_photometric = photometric.samples is not None
+        field, losses = refine_map(state.mapper.volume, ray_batches(state), config, has_photometric, on_event)
     with progress.timed("beta maps"):
-        _write_betas(frames, sorted(progress.poses), mapper, on_beta, on_event)
-    poses = {index: np.array(matrix) for index, matrix in progress.poses.items()}
-    return Reconstruction(
-        mapper, result, poses, {**progress.losses, "refinement": losses}, progress.seconds, tracker.record()
-    )
-
-
-def _explore(view: View, frames: RunFrames, mapper: Mapper, tracker: Tracker, progress: RunProgress) -> None:
-    """Track, judge the sensors, map, record."""
-    frame, tracking = mapper.health.look(view.frame), mapper.config.tracking
-    with progress.timed("tracking"):
-        T_world_camera = tracker.track(mapper.health.without_faulty(frame), view.prepared, view.features)
-    if T_world_camera is None:
-        return
-    with progress.timed("pass_1"):
-        _follow(frames, mapper, tracker)
-        frame = mapper.judge(frame, mapper.pose(T_world_camera))
-        if not tracking.enabled or tracker.is_keyframe() or progress.position % tracking.integrate_every == 0:
-            mapper.explore(frame, view.features, mapper.pose(T_world_camera))
-    progress.poses[frame.index] = np.asarray(T_world_camera).tolist()
-
-
-def _follow(frames: RunFrames, mapper: Mapper, tracker: Tracker) -> None:
-    """Frames whose camera was moved by what was seen later, by a loop above all, are fused again from there.
-
-    Only a keyframe moves others.
-    """
-    if not mapper.config.tracking.enabled or not tracker.is_keyframe():
-        return
-    poses = {index: mapper.pose(pose) for index, pose in tracker.poses().items()}
-    moved = mapper.log.moved(poses, mapper.config.fusion.voxel_size_m)
-    for view in _views(frames, moved, mapper) if moved else ():
-        mapper.refuse(view.frame, view.features, poses[view.frame.index])
-
-
-def _settle(mapper: Mapper, tracker: Tracker, progress: RunProgress) -> None:
-    """The final poses take the place of those that were recorded on the way; the rays of the learner move along."""
-    poses = tracker.finish()
-    before = {i: entry.T_world_camera for i, entry in mapper.log.entries.items()}
-    mapper.rays.move({i: mapper.pose(poses[i]) @ torch.linalg.inv(before[i]) for i in before if i in poses})
-    mapper.log.clear()
-    progress.poses |= {index: pose.tolist() for index, pose in poses.items()}
-
-
-def _fuse(view: View, mapper: Mapper, progress: RunProgress) -> None:
-    """Map again what was recorded."""
-    recorded = progress.poses.get(view.frame.index)
-    if recorded is None:
-        return
-    with progress.timed(f"pass_{progress.sweep + 1}"):
-        pose = mapper.pose(recorded)
-        frame = mapper.bias.corrected(view.frame, view.features)
-        moved = mapper.config.tracking.enabled or frame is not view.frame  # the camera or its readings, since exploring
-        if moved and (progress.sweep == 1 or mapper.bias.newly_active):  # else by less than the truncation band
-            for depth in frame.depths.values():
-                mapper.volume.allocate(depth.to(mapper.device), pose)
-        mapper.fuse(frame, view.features, pose)
-
-
-def _views(frames: RunFrames, indices: list[int], mapper: Mapper, tracker: Tracker | None = None) -> Iterator[View]:
-    """Frames with their features, both made in the background while the frame before is being mapped.
-
-    Sensors that were found to be at fault in a frame read nothing there.
-    """
-
-    def prepare(frame: Frame) -> View:
-        frame = mapper.health.believed(frame)
-        normals = {sensor: frames.normals(frame.index, sensor) for sensor in frames.sensors}
-        return View(frame, mapper.features(frame, normals), tracker.prepare(frame, normals) if tracker else None)
-
-    return frames.stream(indices, prepare)
-
-
-def _sweep_views(
-    frames: RunFrames,
-    indices: list[int],
-    sweep: int,
-    mapper: Mapper,
-    tracker: Tracker,
-    progress: RunProgress,
-    on_event: OnEvent,
-) -> Iterator[View]:
-    """What is left of a sweep, reported."""
-    explores = "tracking and mapping" if mapper.config.tracking.enabled else "mapping"
-    stage = explores if sweep == 0 else f"fusing again, sweep {sweep + 1}"
-    for view in _views(frames, indices[progress.position :], mapper, tracker if sweep == 0 else None):
-        on_event(Progress(stage, progress.position, len(indices)))
-        yield view
-    on_event(Progress(stage, len(indices), len(indices)))
-
-
-def _end_sweep(
-    frames: RunFrames, mapper: Mapper, tracker: Tracker, progress: RunProgress, on_event: OnEvent
-) -> None:  # fmt: skip
-    """Complete the map by what colour says, and learn from the whole of it; ask colour while it finds something new."""
-    if not mapper.volume.grid.rows:
-        raise DataError("no frame could be mapped: no depth reading within range has a camera pose")
-    with progress.timed("photometric"):
-        mapper.add_colors()
-    if progress.sweep == 0:
-        _learn(mapper, progress)
-        with progress.timed("tracking"):
-            _settle(mapper, tracker, progress)
-    with progress.timed("photometric"):
-        heard = (progress.sweep == 0 or mapper.witness.needs_another_pass()) and _hear_colors(
-            frames, mapper, progress, on_event
-        )
-    if heard or progress.sweep > 0:
-        _learn(mapper, progress)
-    if heard:
-        with progress.timed("photometric"):
-            mapper.estimate_reliability()
-
-
-def _learn(mapper: Mapper, progress: RunProgress) -> None:
-    """What the whole map teaches the noise models; at last about the readings as they come."""
-    if mapper.config.uncertainty.enabled:
-        with progress.timed("learning"):
-            losses = mapper.learn(raw_target=progress.sweep == progress.last)
-        for sensor, loss in losses.items():
-            if math.isfinite(loss):
-                progress.losses.setdefault(f"noise/{sensor}", []).append(loss)
-
-
-def _hear_colors(frames: RunFrames, mapper: Mapper, progress: RunProgress, on_event: OnEvent) -> bool:
-    """Ask colour, around the surface that the map shows, where it is; heard in the sweeps that follow.
-
-    Returns whether it said anything.
-    """
-    config = mapper.config
-    if not (config.photometric.enabled and config.uncertainty.enabled and config.fusion.passes):
-        return False
-    if frames.registration_sigma_px > MAX_REGISTRATION_PX:
-        off = f"{frames.registration_sigma_px:g} px"
-        on_event(Note(f"colour may lie {off} beside its depth, so it does not say where the surface is"))
-        return False
+        write_beta_maps(state, on_beta, on_event)
     poses = {index: np.array(pose) for index, pose in progress.poses.items()}
-    surface = mapper.surface()
-    loss = mapper.witness.look(frames, poses, surface, on_event)
-    if loss is None:
-        return False
-    progress.losses.setdefault("noise/photometric", []).append(loss)
-    for number, view in enumerate(_views(frames, mapper.witness.indices, mapper)):
-        mapper.witness.sample_view(view.frame, view.features, number, surface)
-    tried = mapper.witness.indices[:: 1 + len(mapper.witness.indices) // CONSISTENCY_TEST_VIEWS]
-    mapper.bias.hear(mapper.witness, ((view.frame, view.features) for view in _views(frames, tried, mapper)))
-    if mapper.witness.needs_another_pass():  # after the next sweep, and one more that hears what it then says
-        progress.last = max(progress.last, progress.sweep + 2)
-    return True
+    curves = {**progress.losses, "refinement": losses}
+    return Reconstruction(field, poses, curves, progress.seconds, state.tracker.record(), state)
 
 
-def _write_betas(frames: RunFrames, indices: list[int], mapper: Mapper, on_beta: OnBeta, on_event: OnEvent) -> None:
-    if not mapper.config.uncertainty.enabled:
+def require_map(state: ReconstructionState, frame_count: int) -> None:
+    """Raises DataError if the camera was lost in all frames, or no measurement was integrated."""
+    if state.config.tracking.enabled:
+        require_found(state.progress.poses, frame_count)
+    if state.mapper.is_empty:
+        raise DataError("no frame could be mapped: no depth measurement within range has a camera pose")
+
+
+def integrate_again(state: ReconstructionState, view: View) -> None:
+    """Integrate a frame with its recorded pose, bias-corrected; frames without a pose are skipped."""
+    progress, biases = state.progress, state.biases
+    if view.frame.index not in progress.poses:
         return
-    stage = "writing beta maps"
-    for done, view in enumerate(_views(frames, indices, mapper)):
+    with progress.timed(f"pass_{progress.current_pass + 1}"):
+        pose = state.pose(view.frame.index)
+        frame = biases.correct(view.frame, view.inputs)
+        # The surface may have left the allocated blocks since the online pass: by the final pose, or by a bias that was
+        # activated since the last pass. All other changes are smaller than the truncation band.
+        displaced = state.config.tracking.enabled or frame is not view.frame
+        if displaced and (progress.current_pass == 1 or biases.newly_active):
+            state.mapper.allocate(frame, pose)
+        state.mapper.integrate(frame, view.inputs, pose)
+
+
+def integrate_photometric_depth(state: ReconstructionState) -> None:
+    """Complete an integration pass by the photometric depth that is known by now."""
+    photometric = state.photometric
+    with state.progress.timed("photometric"):
+        state.mapper.integrate_photometric(photometric.depth_images(), photometric.frames_per_view)
+
+
+def learn_noise(state: ReconstructionState) -> None:
+    """Train the noise models on the whole map; after the last pass for errors of the measurements as recorded."""
+    progress, mapper, rays = state.progress, state.mapper, state.rays.rays
+    if not state.config.uncertainty.enabled or rays is None:
+        return
+    with progress.timed("learning"):
+        map_depth = mapper.surface().cast(rays.origins, rays.directions)
+        evidence = MapEvidence(
+            rays, map_depth, mapper.volume, mapper.weights, state.biases.models, state.photometric.samples
+        )
+        losses = state.noise.learn_from_map(evidence, target="raw" if progress.is_last_pass else "corrected")
+    for sensor, loss in losses.items():
+        if math.isfinite(loss):
+            progress.add_loss(f"noise/{sensor}", loss)
+
+
+def estimate_sensor_reliability(state: ReconstructionState) -> None:
+    """Set the reliability of the sensors in the fusion weights of the passes that follow."""
+    mapper = state.mapper
+    with state.progress.timed("photometric"):
+        mapper.weights.worth = sensor_reliability(
+            state.photometric, state.noise.models, state.biases.models, mapper.volume, state.config
+        )
+
+
+def ray_batches(state: ReconstructionState) -> list[RayBatch]:
+    """What the field is fitted to: keyframe rays of the sensors, bias-corrected, and photometric depth."""
+    batches = []
+    if not state.config.field.iterations:
+        return batches
+    if state.rays.rays is not None and len(state.rays):
+        corrected = state.rays.rays.without_bias(state.biases.models)
+        batches.append(sensor_rays(corrected, state.noise.models, state.mapper.weights.worth))
+    if state.photometric.samples is not None:
+        batches.append(photometric_rays(state.photometric.samples, state.device))
+    return batches
+
+
+def write_beta_maps(state: ReconstructionState, on_beta: OnBeta, on_event: OnEvent) -> None:
+    """Pass the error scale of every mapped frame and sensor to `on_beta`, if it was learned."""
+    if not state.config.uncertainty.enabled:
+        return
+    indices, stage = sorted(state.progress.poses), "writing beta maps"
+    for done, view in enumerate(stream_views(state, indices)):
         on_event(Progress(stage, done, len(indices)))
-        for sensor, features in view.features.items():
-            depth = view.frame.depths[sensor].to(mapper.device)
-            beta = mapper.noise[sensor].beta_image(depth, features.to(mapper.device))
+        for sensor, inputs in view.inputs.items():
+            depth = view.frame.depths[sensor].to(state.device)
+            beta = state.noise.models[sensor].beta_image(depth, inputs.to(state.device))
             on_beta(view.frame.index, sensor, beta.cpu())
     on_event(Progress(stage, len(indices), len(indices)))
 
 
-def _save(checkpoint: Checkpoint, mapper: Mapper, tracker: Tracker, progress: RunProgress) -> None:
-    checkpoint.save(
-        {"mapper": mapper.state_dict(), "tracker": tracker.state_dict(), "progress": dict(vars(progress))}
-    )  # fmt: skip
-
-
-def _restore(checkpoint: Checkpoint, mapper: Mapper, tracker: Tracker, on_event: OnEvent) -> RunProgress | None:
-    state: dict[str, Any] | None = checkpoint.load()
-    if state is None:
-        return None
-    mapper.load_state_dict(state["mapper"])
-    tracker.load_state_dict(state["tracker"])
-    progress = RunProgress(**state["progress"])
-    on_event(Note(f"continuing at sweep {progress.sweep + 1}, frame {progress.position}"))
-    return progress
+def _rounded(values: dict[str, float]) -> dict[str, float]:
+    return {sensor: round(value, 4) for sensor, value in values.items()}
