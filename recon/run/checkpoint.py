@@ -8,7 +8,7 @@ from typing import Any
 
 from ..core.tensor_files import load_tensors, save_tensors
 
-VERSION = 5  # of what states hold; to be counted up when a program can no longer continue those of the one before
+VERSION = 6  # of what states hold; to be counted up when a program can no longer continue those of the one before
 
 
 class Checkpoint:
