@@ -81,7 +81,7 @@ _SIDE = 0.7  # of the half image: position of the outer probe points
 
 
 def view_overlap(camera: Camera, poses: np.ndarray, T_world_reference: np.ndarray, distance_m: float) -> np.ndarray:
-    """(N,) fraction of 3 x 3 points, `distance_m` in front of a reference camera, that each of `poses` (N, 4, 4) sees."""
+    """(N,) fraction of 3 x 3 points `distance_m` in front of a reference camera that each of `poses` (N, 4, 4) sees."""
     spread = np.array([-_SIDE, 0.0, _SIDE])
     x, y = (axis.ravel() for axis in np.meshgrid(spread * camera.cx / camera.fx, spread * camera.cy / camera.fy))
     points = np.stack([x, y, np.ones_like(x)], -1) * distance_m @ T_world_reference[:3, :3].T

@@ -88,7 +88,7 @@ def collect_samples(
     offset = torch.stack([*offsets, samples.depth - samples.map_depth], 1)
     offset[offset.abs() >= truncation_m] = torch.nan
     beta = samples.beta.float()
-    weight = torch.stack([*sensor_weights, weights.of(beta)], 1)
+    weight = torch.stack([*sensor_weights, weights.inverse_variance(beta)], 1)
     used = samples.map_depth > 0
     columns = (samples.points(), samples.view, offset, weight, beta)
     return CrossViewSamples(*(values[used].numpy() for values in columns))

@@ -50,7 +50,7 @@ def choose_reference_frames(
         if chosen:
             step = np.linalg.inv(poses[chosen[-1]]) @ poses[index]
             moved = np.linalg.norm(step[:3, 3]) >= config.min_baseline_ratio * distance_m
-            if not moved and se3.angle(step) < config.min_rotation_rad:
+            if not moved and se3.rotation_angle(step) < config.min_rotation_rad:
                 continue
         chosen.append(index)
         distance_m = surface.median_depth(camera, poses[index]) or distance_m

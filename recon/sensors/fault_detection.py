@@ -82,19 +82,19 @@ class FaultDetector:
 
     @property
     def rays(self) -> Tensor:
-        """(N, 3) directions in camera axes (`Camera.rays`) that `compare` wants to know the depth of the map for."""
+        """(N, 3) directions in camera axes (`Camera.rays`) that `check_against_map` compares with the map."""
         return self.camera.rays()[self._grid].reshape(-1, 3)
 
-    def look(self, frame: Frame) -> Frame:
+    def check_images(self, frame: Frame) -> Frame:
         """Judge a frame by its images alone; returns it without the sensors that are missing or frozen."""
         if not self.config.enabled:
             return frame
         thumbnail = _thumbnail(frame.color)
         for sensor, depth in frame.depths.items():
-            self.verdicts[sensor][frame.index] = self._look(frame, sensor, depth, thumbnail)
-        return self.believed(frame)
+            self.verdicts[sensor][frame.index] = self._check_image(frame, sensor, depth, thumbnail)
+        return self.without_faulty(frame)
 
-    def compare(self, frame: Frame, predicted: Tensor, max_depth_m: float) -> Frame:
+    def check_against_map(self, frame: Frame, predicted: Tensor, max_depth_m: float) -> Frame:
         """Judge a frame that was looked at by `predicted` (N,), the z-depth of the map on `rays` in metres, 0 = none.
 
         A sensor is at fault if it is off the map by more than it ever was. If all of several sensors are, the pose or
@@ -116,19 +116,19 @@ class FaultDetector:
             if sensor in judged and sensor not in off:
                 past.biases = [*past.biases, judged[sensor].bias][-HISTORY:]
                 past.scatters = [*past.scatters, judged[sensor].scatter][-HISTORY:]
-        return self.believed(frame)
+        return self.without_faulty(frame)
 
-    def without_faulty(self, frame: Frame) -> Frame:
+    def without_suspected(self, frame: Frame) -> Frame:
         """A frame that was looked at, without the sensors that disagreed last, unless no other sees anything."""
         suspects = [s for s, past in self._past.items() if past.last == "inconsistent"]
         kept = _without(frame, suspects)
         return kept if any(bool((depth > 0).any()) for depth in kept.depths.values()) else frame
 
-    def believed(self, frame: Frame) -> Frame:
+    def without_faulty(self, frame: Frame) -> Frame:
         """The frame with no reading from the sensors that are at fault in it, as far as was judged."""
         return _without(frame, [s for s in frame.depths if self.verdicts[s].get(frame.index, "ok") != "ok"])
 
-    def _look(self, frame: Frame, sensor: str, depth: Tensor, thumbnail: Tensor) -> Verdict:
+    def _check_image(self, frame: Frame, sensor: str, depth: Tensor, thumbnail: Tensor) -> Verdict:
         past, seen = self._past[sensor], float((depth > 0).float().mean())
         if seen <= self.config.min_valid_ratio * float(np.median(past.seen or [0.0])):
             return "missing"

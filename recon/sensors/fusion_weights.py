@@ -1,4 +1,4 @@
-"""What readings weigh in the map: inverse variance by beta, and how often a sensor repeats its errors."""
+"""Fusion weights of measurements: inverse variance by beta, times the reliability of the sensor."""
 
 from __future__ import annotations
 
@@ -20,35 +20,35 @@ _ENOUGH_READINGS = 20_000  # for a median
 
 
 class FusionWeights:
-    """`worth` by sensor: what one of its readings counts beside one of colour with the same beta."""
+    """`reliability` by sensor: factor on its weights relative to photometric depth of the same beta."""
 
     def __init__(self, config: FusionConfig, sensors: tuple[str, ...]) -> None:
         self.blur_m = config.discretisation_voxels * config.voxel_size_m
-        self.worth = dict.fromkeys(sensors, 1.0)
+        self.reliability = dict.fromkeys(sensors, 1.0)
 
-    def of(self, beta: Tensor, sensor: str | None = None) -> Tensor:
-        """beta (...) metres -> (...) fusion weight of readings of a sensor, None = colour: their inverse variance on
-        this map, times what they are worth.
+    def inverse_variance(self, beta: Tensor, sensor: str | None = None) -> Tensor:
+        """beta (...) metres -> (...) fusion weight of a sensor, None = photometric depth: inverse variance on this map,
+        times the reliability.
 
-        A voxel cannot show more than its size, so its own blur adds to the noise of the sensor; without it the few
-        sharpest readings would outvote all others.
+        The discretisation of the voxel grid adds to the noise of the sensor; without it the few measurements with the
+        smallest beta would dominate all others.
         """
-        worth = 1.0 if sensor is None else self.worth[sensor]
-        return worth * WEIGHT_SCALE_M**2 / (beta.square() + self.blur_m**2).clamp(min=1e-8)
+        factor = 1.0 if sensor is None else self.reliability[sensor]
+        return factor * WEIGHT_SCALE_M**2 / (beta.square() + self.blur_m**2).clamp(min=1e-8)
 
     def for_sensor(self, beta: Tensor, valid: Tensor, sensor: str) -> tuple[Tensor, FreeSpace]:
         """beta (...) metres of an image -> what its readings weigh, none below `MIN_RELATIVE_WEIGHT` of their median.
 
         A silhouette is noisy in every view; without a floor the steadier background behind it would outvote it away.
         """
-        weight = self.of(beta, sensor)
+        weight = self.inverse_variance(beta, sensor)
         typical = median_weight(weight, valid)
         weight = weight.clamp(min=MIN_RELATIVE_WEIGHT * typical)
         return weight, FreeSpace.of(weight, typical, FREE_SPACE_SCALE_BETAS * beta)
 
-    def of_color(self, beta: Tensor, valid: Tensor, frames: float) -> tuple[Tensor, FreeSpace]:
+    def for_photometric(self, beta: Tensor, valid: Tensor, frames: float) -> tuple[Tensor, FreeSpace]:
         """beta (...) metres of a view of colour that stands for a number of `frames` -> what its readings weigh."""
-        weight = frames * self.of(beta)
+        weight = frames * self.inverse_variance(beta)
         free_space = FreeSpace.of(weight, median_weight(weight, valid), FREE_SPACE_SCALE_BETAS * beta)
         return weight, replace(free_space, weight=PHOTOMETRIC_FREE_SPACE_FACTOR * free_space.weight)
 

@@ -81,9 +81,7 @@ class FieldConfig(Strict):
     learning_rate_sdf_m: float = Field(
         1e-4, gt=0, description="Step size of Adam for the offsets at the samples near the surface, metres."
     )
-    learning_rate: float = Field(
-        2.5e-3, gt=0, description="Step size of Adam for the feature grids and the decoder."
-    )
+    learning_rate: float = Field(2.5e-3, gt=0, description="Step size of Adam for the feature grids and the decoder.")
     sensor_only_rate_ratio: float = Field(
         0.1, gt=0, le=1, description="Factor on that step size where there is no photometric depth."
     )

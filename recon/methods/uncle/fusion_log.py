@@ -53,7 +53,7 @@ class FusionLog:
         return models
 
     def moved_frames(self, poses: Mapping[int, Tensor], limit_m: float) -> list[int]:
-        """Indices of integrated frames whose pose (4, 4) differs by more than `limit_m` from that of the integration."""
+        """Indices of integrated frames whose pose (4, 4) now differs from the recorded one by more than `limit_m`."""
         return [
             index
             for index, record in self.records.items()
@@ -61,7 +61,7 @@ class FusionLog:
         ]
 
     def corrections(self, poses: Mapping[int, Tensor]) -> dict[int, Tensor]:
-        """By frame index, the motion T_new_old (4, 4) in world axes from the pose of the integration to that of `poses`."""
+        """By frame index, the motion T_new_old (4, 4) in world axes from the recorded pose to that of `poses`."""
         return {
             index: poses[index] @ torch.linalg.inv(record.T_world_camera)
             for index, record in self.records.items()
@@ -96,6 +96,7 @@ class FusionLog:
     def _displacement(self, record: IntegrationRecord, T_world_camera: Tensor) -> float:
         """How far points `lever_m` away from the camera move, metres."""
         step = torch.linalg.inv(record.T_world_camera.double()) @ T_world_camera.double()
+        # In tensors, as poses may lie on an accelerator; `se3.rotation_angle` takes arrays.
         angle = torch.arccos(((torch.trace(step[:3, :3]) - 1) / 2).clamp(-1, 1))
         return float(torch.linalg.norm(step[:3, 3]) + self.parameters.lever_m * angle)
 

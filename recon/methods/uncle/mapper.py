@@ -96,7 +96,7 @@ class Mapper:
         for image in images:
             self._surface = None
             depth, beta, pose = (t.to(self.device) for t in (image.depth, image.beta, image.T_world_camera))
-            weight, free_space = self.weights.of_color(beta, depth > 0, frames_per_view)
+            weight, free_space = self.weights.for_photometric(beta, depth > 0, frames_per_view)
             self.volume.allocate(depth, pose)
             self.volume.integrate(depth, weight, None, pose, free_space)
 
@@ -136,7 +136,7 @@ class Mapper:
             "blocks": self.volume.grid.blocks,
             "sums": self.volume.sums,
             "color_sums": self.volume.color_sums,
-            "reliability": self.weights.worth,
+            "reliability": self.weights.reliability,
             "weight_sums": self.weight_sums.state_dict(),
             "log": self.log.state_dict(),
         }
@@ -147,7 +147,7 @@ class Mapper:
         self.volume.grid.restore(state["blocks"].to(self.device))
         self.volume.sums = state["sums"].to(self.device)
         self.volume.color_sums = state["color_sums"].to(self.device)
-        self.weights.worth = dict(state["reliability"])
+        self.weights.reliability = dict(state["reliability"])
         self.weight_sums.load_state_dict(state["weight_sums"])
         self.log.load_state_dict(state["log"], self.device)
 

@@ -130,7 +130,7 @@ class NoiseLearner:
 
     def _leave_one_out_residuals(self, sensor: str, evidence: MapEvidence) -> MapResiduals:
         residuals = map_residuals(evidence.rays, sensor, evidence.map_depth, evidence.biases[sensor])
-        weights = evidence.weights.of(self.models[sensor](residuals.inputs.float()), sensor)
+        weights = evidence.weights.inverse_variance(self.models[sensor](residuals.inputs.float()), sensor)
         return leave_one_out(residuals, weights, evidence.volume, self.parameters)
 
     def state_dict(self) -> dict[str, Any]:

@@ -14,9 +14,9 @@ from .views import View, stream_views
 def track_and_integrate(state: ReconstructionState, view: View) -> None:
     """Track a frame; if it was tracked, integrate it and record its pose."""
     tracking, progress, tracker, faults = state.config.tracking, state.progress, state.tracker, state.faults
-    frame = faults.look(view.frame)
+    frame = faults.check_images(view.frame)
     with progress.timed("tracking"):
-        T_world_camera = tracker.track(faults.without_faulty(frame), view.prepared, view.inputs)
+        T_world_camera = tracker.track(faults.without_suspected(frame), view.prepared, view.inputs)
     if T_world_camera is None:
         return
     with progress.timed("pass_1"):
@@ -34,7 +34,7 @@ def check_against_map(state: ReconstructionState, frame: Frame, pose: Tensor) ->
     if state.mapper.is_empty or not state.config.fault_detection.enabled:
         return frame
     map_depth = state.mapper.surface().along(state.faults.rays, pose)
-    return state.faults.compare(frame, map_depth.cpu(), state.config.fusion.max_depth_m)
+    return state.faults.check_against_map(frame, map_depth.cpu(), state.config.fusion.max_depth_m)
 
 
 def integrate_new_frame(state: ReconstructionState, frame: Frame, inputs: dict[str, Tensor], pose: Tensor) -> None:

@@ -47,7 +47,7 @@ class Reconstruction:
             "keyframes": len(state.keyframes),
             "bias_test_improved_ratio": _rounded(state.biases.improved_fraction),
             "bias_corrected_sensors": sorted(state.biases.active()),
-            "sensor_reliability": _rounded(state.mapper.weights.worth),
+            "sensor_reliability": _rounded(state.mapper.weights.reliability),
             "error_quantiles_in_beta": {s: values for s, values in state.noise.error_quantiles.items() if values},
             "sensor_weight_share": _rounded(state.mapper.weight_sums.shares()),
         }
@@ -166,7 +166,7 @@ def estimate_sensor_reliability(state: ReconstructionState) -> None:
     """Set the reliability of the sensors in the fusion weights of the passes that follow."""
     mapper = state.mapper
     with state.progress.timed("photometric"):
-        mapper.weights.worth = sensor_reliability(
+        mapper.weights.reliability = sensor_reliability(
             state.photometric, state.noise.models, state.biases.models, mapper.volume, state.config
         )
 
@@ -178,7 +178,7 @@ def ray_batches(state: ReconstructionState) -> list[RayBatch]:
         return batches
     if state.rays.rays is not None and len(state.rays):
         corrected = state.rays.rays.without_bias(state.biases.models)
-        batches.append(sensor_rays(corrected, state.noise.models, state.mapper.weights.worth))
+        batches.append(sensor_rays(corrected, state.noise.models, state.mapper.weights.reliability))
     if state.photometric.samples is not None:
         batches.append(photometric_rays(state.photometric.samples, state.device))
     return batches

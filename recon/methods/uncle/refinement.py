@@ -20,6 +20,7 @@ from ...volume.rendering import render_depth, render_values, sdf_weights
 from ...volume.tsdf_volume import TsdfVolume
 from .ray_batch import RayBatch
 
+
 @dataclass(frozen=True)
 class RenderedRays:
     """depth (N,) metres, color (N, 3) in 0..1, known (N,) bool: the ray crosses known samples."""

@@ -37,7 +37,7 @@ def stream_views(state: ReconstructionState, indices: Sequence[int], for_trackin
     frames, tracker = state.frames, state.tracker
 
     def prepare(frame: Frame) -> View:
-        frame = state.faults.believed(frame)
+        frame = state.faults.without_faulty(frame)
         normals = {sensor: frames.normals(frame.index, sensor) for sensor in frames.sensors}
         inputs = noise_inputs(frame, normals, frames.camera) if state.config.uncertainty.enabled else {}
         return View(frame, inputs, tracker.prepare(frame, normals) if for_tracking else None)

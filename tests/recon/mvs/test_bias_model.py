@@ -1,11 +1,12 @@
-"""Bias of a sensor: learned through noise, believed only if the sensor's own views then agree better."""
+"""Bias of a sensor: learned through noise, accepted only if the views of the sensor then are more consistent."""
 
 import numpy as np
 import pytest
 import torch
 from uncle.recon.core.camera import Camera
 from uncle.recon.core.config.uncle import UncertaintyConfig
-from uncle.recon.mvs.bias_model import MIN_VIEWS, BiasModel, CrossViewConsistencyTest
+from uncle.recon.mvs.bias_model import BiasModel
+from uncle.recon.mvs.bias_validation import ConsistencyTestParameters, CrossViewConsistencyTest, Validation
 from uncle.recon.sensors.noise_inputs import FEATURES, noise_features, relative_spread
 from uncle.recon.sensors.noise_model import Residuals
 
@@ -22,8 +23,8 @@ def smooth(features: torch.Tensor) -> torch.Tensor:
     return features
 
 
-def taught_bias(metres: float) -> BiasModel:
-    """One that learned, through noise of 5 cm, that readings at depth feature x are `metres` * x too far."""
+def trained_bias(metres: float) -> BiasModel:
+    """Trained through noise of 5 cm: measurements at depth input x are `metres` * x too far."""
     features = smooth(torch.randn(20_000, len(FEATURES), generator=generator(1)))
     uniform = torch.rand(20_000, generator=generator(2)) - 0.5
     noise = -0.05 * uniform.sign() * torch.log1p(-2 * uniform.abs())
@@ -34,7 +35,7 @@ def taught_bias(metres: float) -> BiasModel:
 
 
 def test_finds_an_offset_below_the_noise():
-    bias = taught_bias(0.03)
+    bias = trained_bias(0.03)
     fresh = smooth(torch.randn(4000, len(FEATURES), generator=generator(3)))
     found = bias(fresh).detach()
     assert float((found - 0.03 * fresh[:, 0]).abs().median()) < 0.005
@@ -42,31 +43,31 @@ def test_finds_an_offset_below_the_noise():
     assert slope == pytest.approx(0.03, rel=0.15)
 
 
-def test_takes_nothing_off_unless_believed():
-    bias, features = taught_bias(0.03), smooth(torch.ones(3, len(FEATURES)))
-    assert bias.of(features) == 0.0
-    bias.believed.fill_(True)
-    assert torch.equal(bias.of(features), bias(features).detach())
+def test_offset_is_0_unless_active():
+    bias, features = trained_bias(0.03), smooth(torch.ones(3, len(FEATURES)))
+    assert bias.offset(features) == 0.0
+    bias.active.fill_(True)
+    assert torch.equal(bias.offset(features), bias(features).detach())
     again = BiasModel(CONFIG, generator(9))
     again.load_state_dict(bias.state_dict())
-    assert again.believed
-    assert torch.equal(again.of(features), bias.of(features))
+    assert again.active
+    assert torch.equal(again.offset(features), bias.offset(features))
 
 
 @pytest.mark.parametrize(
     ("beta_m", "voxel_size_m", "exceeds"), [(0.05, 0.1, True), (0.07, 0.1, False), (0.05, 0.05, False)]
 )
-def test_a_bias_counts_where_it_is_more_than_colours_own_can_be(beta_m, voxel_size_m, exceeds):
-    """It is 2 cm in the median; colour whose beta is a voxel cannot tell anything."""
+def test_a_bias_counts_where_it_exceeds_that_of_photometric_depth(beta_m, voxel_size_m, exceeds):
+    """It is 2 cm in the median; photometric depth whose beta is a voxel is not used."""
     features = smooth(torch.randn(4000, len(FEATURES), generator=generator(3)))
     nothing = torch.zeros(len(features))
-    features[: 6 * len(features) // 10, FEATURES.index("spread_7")] = 1.0  # beside edges, where it says nothing
-    heard = Residuals(nothing, features, nothing + beta_m)
-    assert taught_bias(0.03).exceeds_photometric_bias(heard, voxel_size_m) == exceeds
+    features[: 6 * len(features) // 10, FEATURES.index("spread_7")] = 1.0  # beside edges, where the bias is 0
+    residuals = Residuals(nothing, features, nothing + beta_m)
+    assert trained_bias(0.03).exceeds_photometric_bias(residuals, voxel_size_m) == exceeds
 
 
-def test_corrects_readings_and_leaves_holes():
-    bias = taught_bias(0.03)
+def test_corrects_depths_and_leaves_holes():
+    bias = trained_bias(0.03)
     depth = torch.tensor([[2.0, 0.0], [1.0, 0.01]])
     features = smooth(torch.zeros(2, 2, len(FEATURES)))
     features[..., 0] = torch.tensor([[1.0, 1.0], [-1.0, 2.0]])
@@ -77,9 +78,9 @@ def test_corrects_readings_and_leaves_holes():
     assert corrected[1, 1] == 0  # not behind the camera
 
 
-def test_says_nothing_at_edges_of_depth():
+def test_bias_is_0_at_edges_of_depth():
     """One image with a step of 1 m in its middle."""
-    bias = taught_bias(0.03)
+    bias = trained_bias(0.03)
     depth = torch.full((40, 60), 2.0)
     depth[:, 30:] = 3.0
     camera = Camera(60, 40, 50.0, 50.0, 29.5, 19.5)
@@ -91,7 +92,7 @@ def test_says_nothing_at_edges_of_depth():
     assert (off[36:] != 0).all()
 
 
-def test_the_spread_of_depth_is_read_from_the_features():
+def test_the_spread_of_depth_follows_from_the_inputs():
     camera = Camera(60, 40, 50.0, 50.0, 29.5, 19.5)
     depth = torch.full((40, 60), 2.0)
     depth[:, 30:] = 2.5
@@ -103,15 +104,15 @@ def test_the_spread_of_depth_is_read_from_the_features():
     assert float(found[30]) == pytest.approx(float(window.std(correction=0) * depth[20, 30]), rel=0.01)
 
 
-# --- the trial ---------------------------------------------------------------------------------------------------
-def improved_fraction(room, read, corrected, views: int = 8) -> float | None:
-    """The camera walks towards a wall; `read`, `corrected` are functions of the true depth."""
-    trial = CrossViewConsistencyTest()
+# --- validation --------------------------------------------------------------------------------------------------
+def improved_fraction(room, raw, corrected, views: int = 8) -> float | None:
+    """The camera walks towards a wall; `raw`, `corrected` are functions of the true depth."""
+    test = CrossViewConsistencyTest()
     for step in range(views):
         pose = room.pose(0.05 * step, (1.2 + 0.15 * step, 1.5, 1.2))
         true = torch.from_numpy(room.depth(pose)).float()
-        trial.add(read(true), corrected(true), pose)
-    return trial.improved_fraction(room.camera, seed=0)
+        test.add(raw(true), corrected(true), pose)
+    return test.improved_fraction(room.camera, seed=0)
 
 
 def too_far(depth):
@@ -122,11 +123,11 @@ def as_it_is(depth):
     return depth
 
 
-def test_an_offset_that_is_there_is_confirmed(box_room):
+def test_a_right_correction_improves_all_views(box_room):
     assert improved_fraction(box_room, too_far, as_it_is) == 1.0
 
 
-def test_an_offset_that_is_not_there_is_refused(box_room):
+def test_a_wrong_correction_improves_no_view(box_room):
     assert improved_fraction(box_room, as_it_is, too_far) == 0.0
 
 
@@ -135,14 +136,22 @@ def test_half_of_it_still_helps_and_three_times_as_much_does_not(box_room):
     assert improved_fraction(box_room, too_far, lambda d: d * (1 - 0.04 * d)) == 0.0
 
 
-def test_what_changes_nothing_is_not_believed(box_room):
+def test_no_correction_improves_no_view(box_room):
     assert improved_fraction(box_room, too_far, too_far) == 0.0
 
 
-def test_too_few_views_confirm_nothing(box_room):
-    assert improved_fraction(box_room, too_far, as_it_is, views=MIN_VIEWS) is None
+def test_too_few_views_have_no_result(box_room):
+    assert improved_fraction(box_room, too_far, as_it_is, views=ConsistencyTestParameters.min_views) is None
     blind = CrossViewConsistencyTest()
     for _ in range(9):
         blind.add(torch.zeros(120, 160), torch.zeros(120, 160), np.eye(4))
     assert blind.improved_fraction(box_room.camera, 0) is None
     assert CrossViewConsistencyTest().improved_fraction(box_room.camera, 0) is None
+
+
+def test_results_by_fraction_of_improved_views():
+    result = ConsistencyTestParameters().result
+    assert result(None) is Validation.UNDECIDED
+    fractions = {0.0: Validation.REJECTED, 0.25: Validation.REJECTED, 0.5: Validation.UNDECIDED}
+    fractions |= {0.75: Validation.ACCEPTED, 1.0: Validation.ACCEPTED}
+    assert {fraction: result(fraction) for fraction in fractions} == fractions

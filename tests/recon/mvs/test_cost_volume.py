@@ -1,4 +1,4 @@
-"""Matching against a slow, explicit ZNCC, and what it must not depend on."""
+"""The compiled cost volume against a slow, explicit ZNCC, and what it must not depend on."""
 
 import numpy as np
 import pytest
@@ -6,9 +6,10 @@ from numpy.lib.stride_tricks import sliding_window_view
 from scipy.ndimage import gaussian_filter, map_coordinates
 from scipy.spatial.transform import Rotation
 from uncle.recon.core.camera import Camera
-from uncle.recon.mvs.cost_volume import NOISE, WINDOW, GreyView, texture, zncc_volume
+from uncle.recon.mvs.cost_volume import CostVolumeParameters, GreyView, texture, zncc_volume
 
 CAMERA = Camera(48, 36, 40.0, 42.0, 23.0, 18.0)
+WINDOW, NOISE = CostVolumeParameters.window_px, CostVolumeParameters.noise_variance
 HALF = WINDOW // 2
 
 
@@ -18,7 +19,7 @@ def windows(image: np.ndarray) -> np.ndarray:
     return sliding_window_view(padded, (WINDOW, WINDOW)).reshape(*image.shape, -1)
 
 
-def slow_agreement(reference: GreyView, sources: list[GreyView], inverse: np.ndarray) -> np.ndarray:
+def slow_score(reference: GreyView, sources: list[GreyView], inverse: np.ndarray) -> np.ndarray:
     """(H, W) `zncc_volume` of one layer, in double precision, pixel by pixel."""
     v, u = np.mgrid[: CAMERA.height, : CAMERA.width]
     rays = np.stack([(u - CAMERA.cx) / CAMERA.fx, (v - CAMERA.cy) / CAMERA.fy, np.ones(u.shape)], -1)
@@ -37,9 +38,9 @@ def slow_agreement(reference: GreyView, sources: list[GreyView], inverse: np.nda
         scores.append(np.where(within & margin, score, np.nan))
     result = np.full(inverse.shape, -1.0)
     for row, column in np.ndindex(inverse.shape):
-        looking = [s[row, column] for s in scores if not np.isnan(s[row, column])]
-        if looking:
-            result[row, column] = np.mean(sorted(looking)[len(looking) // 2 :])  # of three the better two
+        seen = [s[row, column] for s in scores if not np.isnan(s[row, column])]
+        if seen:
+            result[row, column] = np.mean(sorted(seen)[len(seen) // 2 :])  # of three the better two
     return result
 
 
@@ -51,7 +52,7 @@ def view(index: int, x=0.0, y=0.0, z=0.0, turn: tuple[float, float, float] = (0.
 
 
 @pytest.mark.parametrize("count", [1, 2, 3, 4])
-def test_agreement_is_the_mean_zncc_of_the_better_half_of_those_who_look(count):
+def test_score_is_the_mean_zncc_of_the_better_half_of_the_sources_that_see_the_point(count):
     reference = view(0, 1.0, -0.5, 0.2, turn=(0.1, -0.3, 0.2))
     sources = [
         view(1, 1.2, -0.5, 0.2, turn=(0.1, -0.3, 0.2)),
@@ -64,7 +65,7 @@ def test_agreement_is_the_mean_zncc_of_the_better_half_of_those_who_look(count):
     volume = zncc_volume(CAMERA, reference, sources, inverse, offsets)
     assert volume.shape == (3, CAMERA.height, CAMERA.width)
     for layer, offset in zip(volume, offsets, strict=True):
-        expected = slow_agreement(reference, sources, inverse + offset)
+        expected = slow_score(reference, sources, inverse + offset)
         assert (expected > -1).mean() > 0.3
         near_rim = (layer == -1) != (expected == -1)  # rounding decides which side of the rim a point is on
         assert near_rim.mean() < 0.01
@@ -72,7 +73,7 @@ def test_agreement_is_the_mean_zncc_of_the_better_half_of_those_who_look(count):
         assert np.abs(layer - expected)[~near_rim].mean() < 1e-4
 
 
-def test_nobody_looks_there():
+def test_no_source_sees_the_point():
     away = view(1, turn=(0.0, np.pi, 0.0))
     flat = np.full((CAMERA.height, CAMERA.width), 0.5, np.float32)
     assert (zncc_volume(CAMERA, view(0), [away], flat, np.zeros(1)) == -1).all()
@@ -83,15 +84,15 @@ def test_exposure_does_not_matter():
     same = GreyView(1, here.grey, here.T_world_camera)
     brighter = GreyView(1, 1.4 * here.grey + 30, here.T_world_camera)
     negative = GreyView(1, 255 - here.grey, here.T_world_camera)
-    agreement = [zncc_volume(CAMERA, here, [other], flat, np.zeros(1))[0] for other in (same, brighter, negative)]
+    scores = [zncc_volume(CAMERA, here, [other], flat, np.zeros(1))[0] for other in (same, brighter, negative)]
     inner = np.s_[HALF + 1 : -HALF - 1, HALF + 1 : -HALF - 1]
-    assert agreement[0][inner].min() > 0.98
-    assert agreement[1][inner].min() > 0.98
-    assert agreement[2][inner].max() < -0.98
+    assert scores[0][inner].min() > 0.98
+    assert scores[1][inner].min() > 0.98
+    assert scores[2][inner].max() < -0.98
 
 
 @pytest.mark.parametrize("level", [0.0, 137.0, 255.0])
-def test_flat_images_neither_agree_nor_disagree(level):
+def test_flat_images_have_a_score_of_zero(level):
     image = np.full((CAMERA.height, CAMERA.width), level, np.float32)
     here, there = GreyView(0, image, view(0).T_world_camera), GreyView(1, image, view(1, 0.1).T_world_camera)
     volume = zncc_volume(CAMERA, here, [there], np.full_like(image, 0.5), np.zeros(1))
@@ -103,3 +104,14 @@ def test_texture_is_the_variance_in_the_window():
     grey = view(0).grey
     np.testing.assert_allclose(texture(grey), windows(grey).var(-1), rtol=1e-3, atol=0.05)
     assert texture(np.full((20, 20), 251, np.float32)).max() < 0.1
+
+
+def test_a_larger_window_smooths_the_score():
+    reference, source = view(0), view(1, 0.1)
+    flat = np.full((CAMERA.height, CAMERA.width), 0.5, np.float32)
+    spread = []
+    for window_px in (5, 15):
+        parameters = CostVolumeParameters(window_px=window_px)
+        score = zncc_volume(CAMERA, reference, [source], flat, np.zeros(1), parameters)[0]
+        spread.append(score[score > -1].std())
+    assert spread[1] < spread[0]

@@ -41,10 +41,10 @@ def make_health(*sensors: str, poses_given: bool = True, **settings: float) -> F
 
 def judge(health: FaultDetector, frame: Frame, truth: torch.Tensor) -> Frame:
     """As the mapper does, with a map that knows the truth (H, W)."""
-    looked = health.look(frame)
+    looked = health.check_images(frame)
     rays = health.rays
     u, v = (rays[:, 0] * CAMERA.fx + CAMERA.cx).round().long(), (rays[:, 1] * CAMERA.fy + CAMERA.cy).round().long()
-    return health.compare(looked, truth[v, u], FAR_M)
+    return health.check_against_map(looked, truth[v, u], FAR_M)
 
 
 def watch(health: FaultDetector, frames: int, depths, **options) -> list[Frame]:
@@ -105,7 +105,7 @@ def test_a_camera_that_stands_still_is_no_frozen_sensor():
 def test_the_colour_tells_that_the_camera_moved_where_no_pose_is_given():
     health = make_health("a", poses_given=False)
     for i in range(6):
-        health.look(make_frame(i, {"a": slope(3)}, grey=90 + 5 * i))
+        health.check_images(make_frame(i, {"a": slope(3)}, grey=90 + 5 * i))
     assert verdicts(health, "a") == "o" + "f" * 5
     still = make_health("a", poses_given=False)
     for i in range(6):
@@ -116,7 +116,7 @@ def test_the_colour_tells_that_the_camera_moved_where_no_pose_is_given():
 def test_a_bare_wall_is_no_frozen_sensor():
     health = make_health("a")
     for i in range(6):
-        health.look(make_frame(i, {"a": torch.full((120, 160), 2.0)}))
+        health.check_images(make_frame(i, {"a": torch.full((120, 160), 2.0)}))
     assert verdicts(health, "a") == "o" * 6
 
 
@@ -126,7 +126,7 @@ def test_a_frozen_sensor_that_moves_a_little_each_frame_is_caught():
     for i in range(10):
         frame = make_frame(i, {"a": slope(3)})
         frame.T_world_camera[0, 3] = 0.006 * i
-        health.look(frame)
+        health.check_images(frame)
     assert verdicts(health, "a") == "o" * 4 + "f" * 6
 
 
@@ -160,10 +160,10 @@ def test_the_verdict_stands_where_the_map_is_unknown():
 def test_a_suspect_is_kept_from_the_tracker_unless_it_is_alone():
     health = make_health("a", "b")
     watch(health, 12, lambda i: both(i, both(i)["b"] + 0.2) if i >= 10 else both(i))
-    next_frame = health.look(make_frame(12, both(12)))
-    assert not health.without_faulty(next_frame).depths["b"].any()
+    next_frame = health.check_images(make_frame(12, both(12)))
+    assert not health.without_suspected(next_frame).depths["b"].any()
     alone = make_frame(12, {**both(12), "a": torch.zeros(120, 160)})
-    assert health.without_faulty(alone).depths["b"].any()
+    assert health.without_suspected(alone).depths["b"].any()
 
 
 def test_what_is_switched_off_judges_nothing():

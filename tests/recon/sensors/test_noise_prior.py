@@ -13,7 +13,9 @@ from uncle.recon.core.config.uncle import UncertaintyConfig
 from uncle.recon.core.errors import ConfigError, RunError
 from uncle.recon.core.events import Progress, Warn
 from uncle.recon.core.tensor_files import load_tensors, save_tensors
-from uncle.recon.methods.uncle.mapper import Mapper
+from uncle.recon.methods.uncle.online_pass import integrate_new_frame
+from uncle.recon.methods.uncle.state import start
+from uncle.recon.methods.uncle.views import noise_inputs
 from uncle.recon.run.checkpoint import Checkpoint
 from uncle.recon.run.directory import RunDirectory
 from uncle.recon.run.frames import RunFrames
@@ -210,7 +212,7 @@ def test_a_broken_map_with_a_prior_resumes_to_the_same(rig, monkeypatch):
         if isinstance(event, Progress) and event.stage.startswith(stage) and event.done == 5:
             raise Broken
 
-    for stage in ("mapping", "fusing again"):
+    for stage in ("mapping", "integrating"):
         with pytest.raises(Broken):
             map_run(run, config, prior=prior, overwrite=True, on_event=partial(break_at, stage))
         with pytest.raises(RunError, match="other settings"):
@@ -243,13 +245,13 @@ def test_a_prior_knows_the_sensors_from_the_first_frame_on(rig):
 def first_betas(run: RunDirectory, config: MapConfig, prior: NoisePrior | None, frames: int = 2) -> np.ndarray:
     """Betas of the third frame after two were mapped, both sensors one after the other."""
     recording = RunFrames(run, config.sensors)
-    mapper = Mapper(recording.camera, config.sensors, config, torch.device("cpu"))
-    if prior is not None:
-        prior.teach(mapper.noise)
+    state = start(recording, config, prior)
     for index in range(3):
         frame = recording[index]
-        features = mapper.features(frame, {s: recording.normals(index, s) for s in config.sensors})
+        normals = {sensor: recording.normals(index, sensor) for sensor in config.sensors}
+        inputs = noise_inputs(frame, normals, recording.camera)
         if index < frames:
-            mapper.explore(frame, features, mapper.pose(frame.T_world_camera))
-    betas = [mapper.noise[s].beta_image(frame.depths[s], features[s]).numpy().ravel() for s in config.sensors]
+            integrate_new_frame(state, frame, inputs, torch.from_numpy(frame.T_world_camera).float())
+    models = state.noise.models
+    betas = [models[s].beta_image(frame.depths[s], inputs[s]).numpy().ravel() for s in config.sensors]
     return np.concatenate(betas)

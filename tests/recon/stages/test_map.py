@@ -192,7 +192,7 @@ def frequent_checkpoints(monkeypatch):
     monkeypatch.setattr(map_stage, "Checkpoint", partial(Checkpoint, interval_s=0.0))
 
 
-POINTS = [("mapping", 7), ("fusing again", 5), ("refining", 8), ("writing beta", 6)]
+POINTS = [("mapping", 7), ("integrating", 5), ("refining", 8), ("writing beta", 6)]
 
 
 def test_broken_run_resumes_to_the_same_bytes(make_mappable_run, frequent_checkpoints):
@@ -219,7 +219,7 @@ def test_broken_run_remembers_what_was_wrong_with_a_sensor(make_mappable_run, fr
     assert run.manifest.stages["map"].facts["faulty_frames"] == {"noisy": {"frozen": 6}}
     assert not RunFrames(run).beta(7, "noisy").any()
     expected = results(run) | {"sensors": run.sensors_path.read_bytes()}
-    for stage, done in [("mapping", 7), ("fusing again", 3)]:
+    for stage, done in [("mapping", 7), ("integrating", 3)]:
         with pytest.raises(Broken):
             map_run(run, config, overwrite=True, on_event=break_at(stage, done))
         map_run(run, config, resume=True)
@@ -286,7 +286,7 @@ def child(run: RunDirectory, kill: int, *arguments: str) -> int:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("kill", [5, 13 + 4, 26 + 6])  # while exploring, while fusing again, among the beta maps
+@pytest.mark.parametrize("kill", [5, 13 + 4, 26 + 6])  # while exploring, in an integration pass, among the beta maps
 def test_killed_run_resumes_to_the_same_bytes(make_mappable_run, kill):
     run = make_mappable_run(("noisy",))
     assert child(run, 0) == 0

@@ -245,7 +245,7 @@ def test_broken_run_resumes_to_the_same_bytes(walk, record, monkeypatch):
         if isinstance(event, Progress) and event.stage.startswith(stage) and event.done == done:
             raise Broken
 
-    for stage, done in (("tracking and mapping", 6), ("fusing again", 4)):
+    for stage, done in (("tracking and mapping", 6), ("integrating", 4)):
         with pytest.raises(Broken):
             map_run(run, settings(), overwrite=True, on_event=partial(break_at, stage, done))
         map_run(run, settings(), resume=True)

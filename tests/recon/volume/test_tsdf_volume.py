@@ -232,7 +232,7 @@ def test_agrees_with_open3d(make_mappable_run: Callable[..., RunDirectory]):
     frames = RunFrames(run)
     config = make_config("tsdf", ["fusion.voxel_size_m=0.04"], sensors=("gt",), device="cpu")
     baseline, poses = fuse_open3d(frames, list(range(len(frames))), config)
-    mapper = Mapper(frames.camera, ("gt",), config, torch.device("cpu"))
+    mapper = Mapper(frames.camera, ("gt",), config, {}, torch.device("cpu"))
     for index, pose in poses.items():
         depth = frames.depth(index, "gt")
         mapper.volume.allocate(depth, torch.tensor(pose).float())
@@ -240,7 +240,7 @@ def test_agrees_with_open3d(make_mappable_run: Callable[..., RunDirectory]):
     grid = mapper.volume.grid
     samples = torch.round(positions_of(grid) / grid.voxel_size_m).long()
     theirs = baseline.grid.sample_rows(samples)
-    shared = (theirs >= 0) & mapper.known() & baseline.known[theirs.clamp(min=0)]
+    shared = (theirs >= 0) & mapper.observed_mask() & baseline.known[theirs.clamp(min=0)]
     ours = mapper.volume.sdf()[shared]
     other = baseline.base[theirs[shared], 0]
     near = (ours.abs() < 0.06) & (other.abs() < 0.06)
@@ -254,16 +254,18 @@ def positions_of(grid: SparseGrid) -> torch.Tensor:
     return grid.block_positions(torch.arange(len(grid.blocks))).view(-1, 3)
 
 
-def integrated(volume: TsdfVolume, room, index: int, deintegrate_block_count: int | None = None) -> None:
-    """The image of the room along angle 0.3 `index`, with weights, doubts and colours that tell it from others."""
+def integrated(volume: TsdfVolume, room, index: int, subtract_of_blocks: int | None = None) -> None:
+    """Add, or subtract, the image of the room along angle 0.3 `index`, with weights and colours of its own."""
     pose = room.pose(0.3 * index)
     depth, generator = torch.from_numpy(room.depth(pose)).float(), torch.Generator().manual_seed(index)
     weight = 0.5 + torch.rand(depth.shape, generator=generator)
     color = torch.randint(0, 255, (*depth.shape, 3), generator=generator, dtype=torch.uint8)
-    if deintegrate_block_count is None:
-        volume.allocate(depth, torch.from_numpy(pose).float())
-    free_space = FreeSpace.of(weight, 1.0, 0.1 * weight)
-    volume.integrate(depth, weight, color, torch.from_numpy(pose).float(), free_space, deintegrate_block_count)
+    pose, free_space = torch.from_numpy(pose).float(), FreeSpace.of(weight, 1.0, 0.1 * weight)
+    if subtract_of_blocks is not None:
+        volume.deintegrate(depth, weight, color, pose, free_space, subtract_of_blocks)
+        return
+    volume.allocate(depth, pose)
+    volume.integrate(depth, weight, color, pose, free_space)
 
 
 def test_what_is_taken_out_was_never_there(box_room):
