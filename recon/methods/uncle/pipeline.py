@@ -107,7 +107,8 @@ def reconstruct(
 
     with progress.timed("refining"):
         has_photometric = photometric.samples is not None
-        field, losses = refine_map(state.mapper.volume, ray_batches(state), config, has_photometric, on_event)
+        batches = ray_batches(state) if config.field.iterations else []
+        field, losses = refine_map(state.mapper.volume, batches, config, has_photometric, on_event)
     with progress.timed("beta maps"):
         write_beta_maps(state, on_beta, on_event)
     poses = {index: np.array(pose) for index, pose in progress.poses.items()}
@@ -173,9 +174,7 @@ def estimate_sensor_reliability(state: ReconstructionState) -> None:
 
 def ray_batches(state: ReconstructionState) -> list[RayBatch]:
     """What the field is fitted to: keyframe rays of the sensors, bias-corrected, and photometric depth."""
-    batches = []
-    if not state.config.field.iterations:
-        return batches
+    batches: list[RayBatch] = []
     if state.rays.rays is not None and len(state.rays):
         corrected = state.rays.rays.without_bias(state.biases.models)
         batches.append(sensor_rays(corrected, state.noise.models, state.mapper.weights.reliability))
