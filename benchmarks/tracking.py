@@ -168,7 +168,7 @@ def shares(records: list[Record]) -> str:
     for record in records:
         claimed: dict[str, float] = {}
         for name, seconds in record["seconds"].items():
-            part = "mapping" if name.startswith("sweep") else name
+            part = "mapping" if name.startswith("pass_") else name
             claimed[part] = claimed.get(part, 0.0) + seconds
         claimed["rest"] = record["wall_s"] - sum(claimed.values())
         for part, seconds in claimed.items():

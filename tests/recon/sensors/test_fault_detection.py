@@ -76,9 +76,9 @@ def test_sensors_that_are_well_are_left_alone():
         (lambda i: torch.zeros(120, 160), "m"),
         (lambda i: both(9)["b"] * (torch.arange(160) < 3), "m"),
         (lambda i: both(9)["b"], "f"),
-        (lambda i: both(i)["b"] + 0.2, "d"),
-        (lambda i: both(i)["b"] - 0.2, "d"),
-        (lambda i: 1 + 3 * torch.rand(120, 160, generator=torch.Generator().manual_seed(i)), "d"),
+        (lambda i: both(i)["b"] + 0.2, "i"),
+        (lambda i: both(i)["b"] - 0.2, "i"),
+        (lambda i: 1 + 3 * torch.rand(120, 160, generator=torch.Generator().manual_seed(i)), "i"),
     ],
     ids=["zero", "a few pixels left", "frozen", "too far", "too near", "garbage"],
 )
@@ -109,7 +109,7 @@ def test_the_colour_tells_that_the_camera_moved_where_no_pose_is_given():
     assert verdicts(health, "a") == "o" + "f" * 5
     still = make_health("a", poses_given=False)
     for i in range(6):
-        still.look(make_frame(i, {"a": slope(3)}, moves=True))  # a pose of the recording, which is not to be used
+        still.check_images(make_frame(i, {"a": slope(3)}, moves=True))  # a pose of the recording, which is not to be used
     assert verdicts(still, "a") == "o" * 6
 
 
@@ -137,7 +137,7 @@ def test_nobody_is_blamed_where_all_sensors_are_off():
     assert verdicts(health, "a") == verdicts(health, "b") == "o" * 20
 
 
-@pytest.mark.parametrize(("poses_given", "expected"), [(True, "o" * 10 + "d" * 10), (False, "o" * 20)])
+@pytest.mark.parametrize(("poses_given", "expected"), [(True, "o" * 10 + "i" * 10), (False, "o" * 20)])
 def test_one_sensor_alone_is_blamed_where_the_poses_are_sure(poses_given, expected):
     health = make_health("a", poses_given=poses_given)
     watch(health, 20, lambda i: {"a": slope(i) + (0.2 if i >= 10 else 0)})
