@@ -109,7 +109,7 @@ def test_the_colour_tells_that_the_camera_moved_where_no_pose_is_given():
     assert verdicts(health, "a") == "o" + "f" * 5
     still = make_health("a", poses_given=False)
     for i in range(6):
-        still.check_images(make_frame(i, {"a": slope(3)}, moves=True))  # a pose of the recording, which is not to be used
+        still.check_images(make_frame(i, {"a": slope(3)}, moves=True))  # by an unused pose
     assert verdicts(still, "a") == "o" * 6
 
 
