@@ -1,4 +1,4 @@
-"""Plane-sweep stereo around the current surface, and what it tells about the depth sensors.
+"""Plane-sweep stereo around the current surface, and the bias and reliability of the depth sensors from it.
 
 Imports sensors and the rooms below it (core, run, volume). Start at `plane_sweep.py` (depth of one view) and
 `photometric_depth.py` (of all reference views); `bias_correction.py` and `sensor_reliability.py` compare the sensors

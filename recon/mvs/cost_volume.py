@@ -67,21 +67,33 @@ def zncc_volume(
 
 def texture(grey: np.ndarray, window_px: int = CostVolumeParameters.window_px) -> np.ndarray:
     """(H, W) variance of the grey levels in the window around each pixel."""
-    return np.maximum(_box(grey**2, window_px) - _box(grey, window_px) ** 2, 0)
+    variance: np.ndarray = np.maximum(_box(grey**2, window_px) - _box(grey, window_px) ** 2, 0)
+    return variance
 
 
 def _motion(reference: GreyView, source: GreyView) -> np.ndarray:
     """(3, 4) float32 [R | t] from the axes of the reference camera to those of the source."""
-    return (np.linalg.inv(source.T_world_camera) @ reference.T_world_camera)[:3].astype(np.float32)
+    T_source_reference: np.ndarray = np.linalg.inv(source.T_world_camera) @ reference.T_world_camera
+    return T_source_reference[:3].astype(np.float32)
 
 
 def _box(image: np.ndarray, window_px: int) -> np.ndarray:
     """(H, W) mean of the window around each pixel."""
-    return cv2.blur(image, (window_px, window_px), borderType=cv2.BORDER_REFLECT)
+    mean: np.ndarray = cv2.blur(image, (window_px, window_px), borderType=cv2.BORDER_REFLECT)
+    return mean
 
 
 @njit(nogil=True, cache=True, fastmath=True)
-def _warp(source, rays, shift, inverse, pinhole, margin, warped, inside):
+def _warp(
+    source: np.ndarray,
+    rays: np.ndarray,
+    shift: np.ndarray,
+    inverse: np.ndarray,
+    pinhole: np.ndarray,
+    margin: int,
+    warped: np.ndarray,
+    inside: np.ndarray,
+) -> None:
     """Grey levels `warped` (H, W) of `source` at the points of inverse depth `inverse` (H, W); rays (3, H, W) and shift
     (3,) in the axes of the source.
 
@@ -110,7 +122,16 @@ def _warp(source, rays, shift, inverse, pinhole, margin, warped, inside):
 
 
 @njit(nogil=True, cache=True)
-def _correlate(mean, variance, source_mean, source_square, product, inside, noise, score):
+def _correlate(
+    mean: np.ndarray,
+    variance: np.ndarray,
+    source_mean: np.ndarray,
+    source_square: np.ndarray,
+    product: np.ndarray,
+    inside: np.ndarray,
+    noise: np.float32,
+    score: np.ndarray,
+) -> None:
     """ZNCC (H, W) into `score`, from window means of both images, their squares and product; NaN where not `inside`."""
     for row in range(mean.shape[0]):
         for column in range(mean.shape[1]):
@@ -125,7 +146,7 @@ def _correlate(mean, variance, source_mean, source_square, product, inside, nois
 
 
 @njit(nogil=True, cache=True)
-def _mean_of_better_half(scores, result):
+def _mean_of_better_half(scores: np.ndarray, result: np.ndarray) -> None:
     """scores (K, H, W), NaN = not seen by that source -> `result` (H, W): mean of the higher half of the scores."""
     best = np.empty(len(scores), np.float32)
     for row in range(result.shape[0]):

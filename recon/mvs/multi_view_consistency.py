@@ -23,10 +23,14 @@ class PosedDepth(Protocol):
     """depth (H, W) metres, 0 = no measurement, and the pose T_world_camera (4, 4) of its camera."""
 
     @property
-    def depth(self) -> np.ndarray: ...
+    def depth(self) -> np.ndarray:
+        """(H, W) metres."""
+        ...
 
     @property
-    def T_world_camera(self) -> np.ndarray: ...
+    def T_world_camera(self) -> np.ndarray:
+        """(4, 4) pose."""
+        ...
 
 
 def cross_view_residual(
@@ -91,4 +95,5 @@ def view_overlap(camera: Camera, poses: np.ndarray, T_world_reference: np.ndarra
     z = np.maximum(local[..., 2], 1e-6)
     u, v = camera.fx * local[..., 0] / z + camera.cx, camera.fy * local[..., 1] / z + camera.cy
     seen = (local[..., 2] > 0.1) & (u > 0) & (v > 0) & (u < camera.width) & (v < camera.height)
-    return seen.mean(1)
+    fraction: np.ndarray = seen.mean(1)
+    return fraction

@@ -142,16 +142,20 @@ class PhotometricDepth:
         for view in self.views:
             yield self._at_full_size(view)
 
-    def collect_samples(self, views: Iterable[tuple[Frame, Mapping[str, Tensor]]], surface: SurfaceRays) -> None:
-        """Sample the reference views, given their frames with noise model inputs (H, W, F) by sensor, in order."""
+    def collect_samples(
+        self, views: Iterable[tuple[Frame, Mapping[str, Tensor]]], surface: SurfaceRays
+    ) -> PhotometricSamples:
+        """Sample the reference views, given their frames with noise model inputs (H, W, F) by sensor, in order.
+
+        The samples replace `samples`, and are returned.
+        """
         parts = []
         for number, (frame, inputs) in enumerate(views):
-            image = self._at_full_size(self.views[number])
-            count = self.config.samples_per_view
-            parts.append(
-                sample_view(number, image, frame.depths, inputs, self.full_camera, surface, count, self.seed)
-            )  # fmt: skip
+            image, count = self._at_full_size(self.views[number]), self.config.samples_per_view
+            sample = sample_view(number, image, frame.depths, inputs, self.full_camera, surface, count, self.seed)
+            parts.append(sample)
         self.samples = PhotometricSamples.concatenate(parts)
+        return self.samples
 
     def share_source_images(self) -> np.ndarray:
         """(V, V) bool: pairs of views with an image in common, whose errors are dependent; True on the diagonal."""

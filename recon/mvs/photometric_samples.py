@@ -17,13 +17,17 @@ from ..sensors.noise_model import Residuals
 class DepthOffset(Protocol):
     """The part of `BiasModel` that is applied to samples."""
 
-    def offset(self, inputs: Tensor) -> Tensor | float: ...
+    def offset(self, inputs: Tensor) -> Tensor | float:
+        """(N, F) -> (N,) metres to subtract."""
+        ...
 
 
 class SurfaceRays(Protocol):
     """The part of `TsdfSurface` that is compared at the pixels of a view."""
 
-    def along(self, rays: Tensor, T_world_camera: Tensor) -> Tensor: ...
+    def along(self, rays: Tensor, T_world_camera: Tensor) -> Tensor:
+        """(N, 3) rays of a camera -> (N,) z-depth of the surface, metres, 0 = none."""
+        ...
 
 
 @dataclass(frozen=True)

@@ -101,9 +101,11 @@ def plane_sweep_depth(
 
 def _layer(volume: np.ndarray, index: np.ndarray) -> np.ndarray:
     """Values of the volume (n, H, W) at layer `index` (H, W)."""
-    return np.take_along_axis(volume, index[None], 0)[0]
+    layer: np.ndarray = np.take_along_axis(volume, index[None], 0)[0]
+    return layer
 
 
 def _deviation_from_neighbours(offset: np.ndarray) -> np.ndarray:
     """(H, W) distance of the offset of a pixel from the median of those around it, steps."""
-    return np.abs(offset - cv2.medianBlur(offset.astype(np.float32), 5))
+    deviation: np.ndarray = np.abs(offset - cv2.medianBlur(offset.astype(np.float32), 5))
+    return deviation

@@ -72,7 +72,7 @@ def collect_samples(
 
     Columns are in the order of `samples.sensors`. Measurements farther from the map than its truncation are left out.
     """
-    views = samples.view.unique().tolist()
+    views = np.unique(samples.view.numpy()).tolist()
     offsets, sensor_weights = [], []
     for sensor in samples.sensors:
         depth, inputs = samples.measured_by(sensor)
@@ -128,9 +128,14 @@ def estimate_reliability(
         return float((np.abs(target - predicted) / scale).mean() + penalty)
 
     simplex = np.vstack([start, start - np.eye(len(start))])
-    options = {"initial_simplex": simplex, "xatol": 0.02, "fatol": 1e-6}
-    bounds = [(-np.log(parameters.max_factor), np.log(parameters.max_factor))] * len(start)
-    log_factors = minimize(loss, start, method="Nelder-Mead", bounds=bounds, options=options).x
+    limit = math.log(parameters.max_factor)
+    log_factors = minimize(
+        loss,
+        start,
+        method="Nelder-Mead",
+        bounds=[(-limit, limit)] * len(start),
+        options={"initial_simplex": simplex, "xatol": 0.02, "fatol": 1e-6},
+    ).x
     return dict(zip(sensors, np.exp(log_factors).tolist(), strict=True))
 
 

@@ -23,13 +23,17 @@ from .view_selection import SurfaceDistance, ViewSelectionParameters, choose_ref
 class ColorImages(Protocol):
     """The part of `RunFrames` that stereo needs."""
 
-    def color(self, index: int) -> Tensor: ...
+    def color(self, index: int) -> Tensor:
+        """(H, W, 3) uint8 RGB of a frame."""
+        ...
 
 
 class SurfaceDepth(SurfaceDistance, Protocol):
     """The part of `TsdfSurface` that stereo needs."""
 
-    def depth_from(self, camera: Camera, T_world_camera: np.ndarray) -> np.ndarray: ...
+    def depth_from(self, camera: Camera, T_world_camera: np.ndarray) -> np.ndarray:
+        """(h, w) z-depth of the surface, metres, 0 = none."""
+        ...
 
 
 @dataclass(frozen=True)

@@ -36,7 +36,9 @@ class ViewSelectionParameters:
 class SurfaceDistance(Protocol):
     """The part of `TsdfSurface` that the choice of reference views needs."""
 
-    def median_depth(self, camera: Camera, T_world_camera: np.ndarray) -> float | None: ...
+    def median_depth(self, camera: Camera, T_world_camera: np.ndarray) -> float | None:
+        """Median z-depth of the surface, metres; None if none is in sight."""
+        ...
 
 
 def choose_reference_frames(

@@ -66,8 +66,8 @@ class Mapper:
             self.log.add(frame.index, T_world_camera, self.noise, len(self.volume.grid.blocks))
         self._surface = None
         color = frame.color.to(self.device)
-        for sensor, depth in frame.depths.items():
-            depth = depth.to(self.device)
+        for sensor, image in frame.depths.items():
+            depth = image.to(self.device)
             weight, free_space = self._weight(sensor, depth, inputs, self.noise)
             self.volume.integrate(depth, weight, color, T_world_camera, free_space)
             self.weight_sums.add(sensor, depth, weight)
@@ -78,8 +78,8 @@ class Mapper:
         noise = self.log.noise_models(record, self.noise)
         self._surface = None
         color = frame.color.to(self.device)
-        for sensor, depth in frame.depths.items():
-            depth = depth.to(self.device)
+        for sensor, image in frame.depths.items():
+            depth = image.to(self.device)
             weight, free_space = self._weight(sensor, depth, inputs, noise)
             self.volume.deintegrate(depth, weight, color, record.T_world_camera, free_space, record.block_count)
             self.weight_sums.add(sensor, depth, weight, sign=-1.0)

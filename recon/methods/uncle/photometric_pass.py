@@ -6,6 +6,7 @@ import numpy as np
 
 from ...core.events import Note, OnEvent
 from ...mvs.bias_correction import BiasFit, PosedView
+from ...mvs.photometric_samples import PhotometricSamples
 from .state import ReconstructionState
 from .views import stream_views
 
@@ -38,18 +39,18 @@ def update_photometric_depth(state: ReconstructionState, on_event: OnEvent) -> b
             return False
         progress.add_loss("noise/photometric", loss)
         views = ((view.frame, view.inputs) for view in stream_views(state, photometric.indices))
-        photometric.collect_samples(views, surface)
-        biases = fit_biases(state)
+        samples = photometric.collect_samples(views, surface)
+        biases = fit_biases(state, samples)
         photometric.set_validation(biases.validation)
     return True
 
 
-def fit_biases(state: ReconstructionState) -> BiasFit:
-    """Fit the sensor biases to the photometric samples, tested on an even choice of the reference views."""
+def fit_biases(state: ReconstructionState, samples: PhotometricSamples) -> BiasFit:
+    """Fit the sensor biases to photometric samples, tested on an even choice of the reference views."""
     photometric, biases = state.photometric, state.biases
     tested = photometric.views[:: 1 + len(photometric.views) // biases.test.views]
     poses = {view.index: view.T_world_camera.numpy() for view in tested}
     views = (
         PosedView(view.frame, view.inputs, poses[view.frame.index]) for view in stream_views(state, list(poses))
     )  # fmt: skip
-    return biases.fit(photometric.samples, views, photometric.voxel_size_m)
+    return biases.fit(samples, views, photometric.voxel_size_m)

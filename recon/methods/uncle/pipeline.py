@@ -98,12 +98,7 @@ def reconstruct(
         if updated:
             estimate_sensor_reliability(state)
 
-        was_last = progress.is_last_pass
-        if not was_last:
-            state.mapper.clear_volume()
-        progress.start_next_pass()
-        if was_last or checkpoint.due():  # what follows the last pass writes much, and the disk may be full
-            save(state, checkpoint)
+        finish_pass(state, checkpoint)
 
     with progress.timed("refining"):
         has_photometric = photometric.samples is not None
@@ -122,6 +117,16 @@ def require_map(state: ReconstructionState, frame_count: int) -> None:
         require_found(state.progress.poses, frame_count)
     if state.mapper.is_empty:
         raise DataError("no frame could be mapped: no depth measurement within range has a camera pose")
+
+
+def finish_pass(state: ReconstructionState, checkpoint: Checkpoint) -> None:
+    """Go on to the next pass, with an empty volume; after the last pass the map stays as it is."""
+    was_last = state.progress.is_last_pass
+    if not was_last:
+        state.mapper.clear_volume()
+    state.progress.start_next_pass()
+    if was_last or checkpoint.due():  # what follows the last pass writes much, and the disk may be full
+        save(state, checkpoint)
 
 
 def integrate_again(state: ReconstructionState, view: View) -> None:

@@ -35,8 +35,9 @@ class RayBatch:
     def at(self, rows: Tensor) -> RayBatch:
         """Some `rows` (B,)."""
         colors = None if self.colors is None else self.colors[rows]
-        columns = (self.origins, self.directions, self.depths, self.betas)
-        return RayBatch(*(values[rows] for values in columns), self.reliability, colors)
+        return RayBatch(
+            self.origins[rows], self.directions[rows], self.depths[rows], self.betas[rows], self.reliability, colors
+        )
 
 
 def sensor_rays(rays: Rays, noise: Mapping[str, NoiseModel], reliability: Mapping[str, float]) -> RayBatch:
@@ -52,8 +53,13 @@ def sensor_rays(rays: Rays, noise: Mapping[str, NoiseModel], reliability: Mappin
 
 def photometric_rays(samples: PhotometricSamples, device: torch.device) -> RayBatch:
     """Rays of the photometric samples; the only source is photometric depth."""
-    columns = (samples.origins, samples.directions, samples.depth[:, None], samples.beta.float()[:, None])
-    return RayBatch(*(values.to(device) for values in columns), torch.ones(1, device=device))
+    return RayBatch(
+        origins=samples.origins.to(device),
+        directions=samples.directions.to(device),
+        depths=samples.depth[:, None].to(device),
+        betas=samples.beta.float()[:, None].to(device),
+        reliability=torch.ones(1, device=device),
+    )
 
 
 def _betas(model: NoiseModel, depth: Tensor, inputs: Tensor) -> Tensor:

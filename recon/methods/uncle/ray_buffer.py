@@ -122,9 +122,9 @@ class RayBuffer:
         if self.rays is None or not motions:
             return
         origins, directions = self.rays.origins.clone(), self.rays.directions.clone()  # rows may share memory
-        for index, motion in motions.items():
+        for index, T_new_old in motions.items():
             rows = (self.rays.frames == index).nonzero()[:, 0]
-            motion = motion.to(origins)
+            motion = T_new_old.to(origins)
             origins[rows] = origins[rows] @ motion[:3, :3].T + motion[:3, 3]
             directions[rows] = directions[rows] @ motion[:3, :3].T
         self.rays = replace(self.rays, origins=origins, directions=directions)

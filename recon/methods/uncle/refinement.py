@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import torch
@@ -140,11 +140,16 @@ def _terms(field: NeuralField, rays: RayBatch, z: Tensor, config: FieldConfig) -
 
 def _loss(field: NeuralField, terms: list[_Terms], config: FieldConfig) -> tuple[Tensor, Tensor]:
     """The loss, and the mean negative log-likelihood of a measurement, nats."""
-    count = sum(term.count for term in terms).clamp(min=1)
-    likelihood = sum(term.weighted_nats for term in terms) / count
+    count = _sum(term.count for term in terms).clamp(min=1)
+    likelihood = _sum(term.weighted_nats for term in terms) / count
     prior = (field.fine[:, 0] / field.grid.voxel_size_m).square().mean()
-    loss = likelihood + config.color_weight * sum(term.color for term in terms) + config.prior_weight * prior
-    return loss, sum(term.nats for term in terms) / count
+    loss = likelihood + config.color_weight * _sum(term.color for term in terms) + config.prior_weight * prior
+    return loss, _sum(term.nats for term in terms) / count
+
+
+def _sum(terms: Iterable[Tensor]) -> Tensor:
+    first, *others = terms
+    return sum(others, start=first)
 
 
 def refine_map(
