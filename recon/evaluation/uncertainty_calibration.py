@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.stats import rankdata
 
-from ..sensors.intervals import LEVELS, ErrorQuantiles, key_of
+from ..sensors.error_quantiles import LEVELS, ErrorQuantiles, level_key
 
 COVERAGES = (0.5, 0.9)
 BINS = 20  # of the reliability and sparsification curves
@@ -120,8 +120,8 @@ def evaluate_uncertainty(
         _curves(error, beta, removed, by_beta, oracle),
     )
     for level in COVERAGES if intervals else ():
-        covered = float(np.mean(error <= intervals[key_of(level)] * beta))
-        metrics = replace(metrics, **{f"stated_coverage_{key_of(level)}": covered})
+        covered = float(np.mean(error <= intervals[level_key(level)] * beta))
+        metrics = replace(metrics, **{f"stated_coverage_{level_key(level)}": covered})
     return metrics if depth is None else _beside_depth_only(metrics, error, depth[order])
 
 

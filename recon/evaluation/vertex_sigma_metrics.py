@@ -11,7 +11,7 @@ from scipy.stats import norm
 from ..core.errors import DataError
 from ..core.mesh import Mesh
 from ..core.mesh_raycaster import Surface
-from ..sensors.intervals import LEVELS
+from ..sensors.error_quantiles import LEVELS
 from .uncertainty_calibration import BINS, rank_correlation, sparsification
 
 MEDIAN_IN_SIGMAS = float(norm.ppf(0.75))  # 0.674, of the distance |e| of a Gaussian error

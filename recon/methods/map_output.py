@@ -12,8 +12,8 @@ from torch import Tensor
 from ..core.events import OnEvent, Warn
 from ..core.files import BETA_UNITS_PER_M, encode_metres, explain_write_errors, write_image, write_text
 from ..run.directory import RunDirectory
-from ..sensors import fault_record as sensor_record
 from ..sensors.fault_detection import FaultDetector
+from ..sensors.fault_record import fault_sentences, save_faults
 
 
 class MapOutput:
@@ -55,10 +55,10 @@ class MapOutput:
 
     def write_faults(self, health: FaultDetector, on_event: OnEvent) -> dict[str, Any]:
         """Write what was wrong with the sensors, and say it; facts: by sensor and reason, frames that were left out."""
-        sensor_record.save(self.run.sensors_path, health.verdicts)
+        save_faults(self.run.sensors_path, health.verdicts)
         faulty: dict[str, Any] = {}
         for sensor, verdicts in health.verdicts.items():
-            for sentence in sensor_record.describe(sensor, verdicts):
+            for sentence in fault_sentences(sensor, verdicts):
                 on_event(Warn(sentence))
             counts = Counter(verdict for verdict in verdicts.values() if verdict != "ok")
             faulty |= {sensor: dict(counts)} if counts else {}

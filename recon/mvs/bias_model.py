@@ -13,7 +13,7 @@ import torch
 from torch import Tensor
 
 from ..core.config.uncle import UncertaintyConfig
-from ..sensors.noise_inputs import FEATURES, relative_spread
+from ..sensors.noise_inputs import SENSOR_INPUTS, relative_spread
 from ..sensors.noise_model import PixelNetwork, Residuals
 
 
@@ -43,7 +43,7 @@ class BiasModel(PixelNetwork):
         generator: torch.Generator,
         parameters: BiasModelParameters = BiasModelParameters(),
     ) -> None:
-        super().__init__(config, generator, FEATURES, outputs=2)
+        super().__init__(config, generator, SENSOR_INPUTS, outputs=2, used_inputs=config.inputs)
         self.limits = parameters
         self.register_buffer("active", torch.zeros((), dtype=torch.bool))
 
@@ -51,10 +51,10 @@ class BiasModel(PixelNetwork):
         """(..., F) -> (...) metres."""
         return self.scale_and_offset(inputs)[1]
 
-    def scale_and_offset(self, features: Tensor) -> tuple[Tensor, Tensor]:
+    def scale_and_offset(self, inputs: Tensor) -> tuple[Tensor, Tensor]:
         """(..., F) -> Laplace scale (...) and bias (...), metres."""
-        outputs = self.outputs(features)
-        smooth = relative_spread(features) < self.limits.max_relative_spread
+        outputs = self.outputs(inputs)
+        smooth = relative_spread(inputs) < self.limits.max_relative_spread
         return self.scale(outputs), self.limits.output_scale_m * outputs[..., 1] * smooth
 
     def correct(self, depth: Tensor, inputs: Tensor) -> Tensor:
@@ -68,9 +68,9 @@ class BiasModel(PixelNetwork):
         `residuals` to photometric depth are those that the model was fitted to. Only samples away from depth edges
         whose photometric beta is below `voxel_size_m` count.
         """
-        inputs = residuals.features.float()
-        used = (residuals.blur < voxel_size_m) & (relative_spread(inputs) < self.limits.max_relative_spread)
-        ratio = self(inputs[used].to(self.device)).abs().cpu() / residuals.blur[used]
+        inputs = residuals.inputs.float()
+        used = (residuals.reference_scale < voxel_size_m) & (relative_spread(inputs) < self.limits.max_relative_spread)
+        ratio = self(inputs[used].to(self.device)).abs().cpu() / residuals.reference_scale[used]
         return len(ratio) > 0 and float(ratio.median()) > self.limits.photometric_bias_limit
 
     @torch.no_grad()

@@ -50,5 +50,5 @@ def fit_photometric_noise(
     if sum(map(len, residuals)) < parameters.min_samples:
         return None
     metres = torch.from_numpy(np.concatenate(residuals)).float()
-    samples = Residuals.against_truth(metres, torch.from_numpy(np.concatenate(inputs)))
+    samples = Residuals.from_exact_reference(metres, torch.from_numpy(np.concatenate(inputs)))
     return noise, noise.learn(samples, config.steps_per_pass, generator)

@@ -123,7 +123,7 @@ def sample_view(
         directions=rays @ T_world_camera[:3, :3].T,
         depth=image.depth.view(-1)[pixels],
         beta=image.beta.view(-1)[pixels],
-        map_depth=surface.along(rays, T_world_camera).cpu(),
+        map_depth=surface.depth_along_rays(rays, T_world_camera).cpu(),
         sensor_depths=torch.stack([depth.view(-1)[pixels] for depth in depths.values()], 1),
         sensor_inputs=torch.stack([inputs[s].view(-1, inputs[s].shape[-1])[pixels] for s in depths], 1).half(),
     )

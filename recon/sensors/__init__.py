@@ -12,21 +12,21 @@ from ..core.lazy import lazy_names
 if TYPE_CHECKING:
     from .fault_detection import FaultDetector
     from .fusion_weights import FusionWeights
-    from .likelihood import interval_loss, laplace_nll
-    from .noise_inputs import FEATURES, noise_features
+    from .likelihood import laplace_nll, quantile_loss
+    from .noise_inputs import SENSOR_INPUTS, pixel_inputs
     from .noise_model import NoiseModel, Residuals
     from .noise_prior import NoisePrior, save_noise_models
 
 __all__ = [
-    "FEATURES",
+    "SENSOR_INPUTS",
     "FaultDetector",
     "FusionWeights",
     "NoiseModel",
     "NoisePrior",
     "Residuals",
-    "interval_loss",
     "laplace_nll",
-    "noise_features",
+    "pixel_inputs",
+    "quantile_loss",
     "save_noise_models",
 ]
 
@@ -35,8 +35,8 @@ __getattr__ = lazy_names(
     {
         "FaultDetector": ".fault_detection",
         "FusionWeights": ".fusion_weights",
-        **dict.fromkeys(("interval_loss", "laplace_nll"), ".likelihood"),
-        **dict.fromkeys(("FEATURES", "noise_features"), ".noise_inputs"),
+        **dict.fromkeys(("quantile_loss", "laplace_nll"), ".likelihood"),
+        **dict.fromkeys(("SENSOR_INPUTS", "pixel_inputs"), ".noise_inputs"),
         **dict.fromkeys(("NoiseModel", "Residuals"), ".noise_model"),
         **dict.fromkeys(("NoisePrior", "save_noise_models"), ".noise_prior"),
     },

@@ -1,4 +1,4 @@
-"""What was wrong with the sensors of a run, as sentences and as `sensors.json`."""
+"""The faults of the sensors of a run, as sentences and as `sensors.json`."""
 
 from __future__ import annotations
 
@@ -12,19 +12,19 @@ from typing import Any
 from ..core.files import write_text
 from .fault_detection import Verdict
 
-MIN_FRAMES = 3  # in a row are worth a word; shorter stretches stand in the file alone,
-MIN_SHARE = 0.1  # unless there are many: a slower sensor has nothing new in every other frame
-MAX_STRETCHES = 5  # are named
-_WORDS: dict[Verdict, str] = {
-    "missing": "no readings",
+MIN_FRAMES = 3  # in a row: shorter intervals are in the file, but get no sentence,
+MIN_FRAME_RATIO = 0.1  # unless there are many: a slow sensor repeats its image in every other frame
+MAX_INTERVALS = 5  # that one sentence lists
+_DESCRIPTIONS: dict[Verdict, str] = {
+    "missing": "no measurements",
     "frozen": "frozen",
-    "inconsistent": "at odds with the map",
+    "inconsistent": "inconsistent with the map",
 }
 
 
 @dataclass(frozen=True)
-class Stretch:
-    """Mapped frames in a row, `first` to `last`, in which a sensor had the same fault."""
+class FaultInterval:
+    """Consecutive mapped frames, index `first` to `last`, in which a sensor had the same fault."""
 
     reason: Verdict
     first: int
@@ -32,46 +32,47 @@ class Stretch:
     frames: int
 
 
-def stretches(verdicts: Mapping[int, Verdict]) -> list[Stretch]:
+def fault_intervals(verdicts: Mapping[int, Verdict]) -> list[FaultInterval]:
     """The faults of one sensor, from its verdicts by frame index."""
-    found = []
+    intervals = []
     for reason, group in groupby(sorted(verdicts), key=lambda index: verdicts[index]):
         indices = list(group)
         if reason != "ok":
-            found.append(Stretch(reason, indices[0], indices[-1], len(indices)))
-    return found
+            intervals.append(FaultInterval(reason, indices[0], indices[-1], len(indices)))
+    return intervals
 
 
-def describe(sensor: str, verdicts: Mapping[int, Verdict]) -> list[str]:
-    """One sentence for each kind of fault that lasted; none for a sensor that was well."""
+def fault_sentences(sensor: str, verdicts: Mapping[int, Verdict]) -> list[str]:
+    """One sentence for each kind of fault that lasted; none for a sensor without faults."""
     sentences = []
-    for reason, words in _WORDS.items():
-        all_of_it = [stretch for stretch in stretches(verdicts) if stretch.reason == reason]
-        long = [stretch for stretch in all_of_it if stretch.frames >= MIN_FRAMES]
-        count = sum(stretch.frames for stretch in all_of_it)
-        if long and len(long) <= MAX_STRETCHES:
-            where = " and ".join(f"from frame {stretch.first} to {stretch.last}" for stretch in long)
-        elif count > MIN_SHARE * len(verdicts) and count >= MIN_FRAMES:
-            where = f"in {count} of {len(verdicts)} frames"
+    for reason, description in _DESCRIPTIONS.items():
+        intervals = [interval for interval in fault_intervals(verdicts) if interval.reason == reason]
+        long = [interval for interval in intervals if interval.frames >= MIN_FRAMES]
+        count = sum(interval.frames for interval in intervals)
+        if long and len(long) <= MAX_INTERVALS:
+            frames = " and ".join(f"from frame {interval.first} to {interval.last}" for interval in long)
+        elif count > MIN_FRAME_RATIO * len(verdicts) and count >= MIN_FRAMES:
+            frames = f"in {count} of {len(verdicts)} frames"
         else:
             continue
-        sentences.append(f"{sensor}: {words} {where}" + ("" if reason == "missing" else ", left out"))
+        sentences.append(f"{sensor}: {description} {frames}" + ("" if reason == "missing" else ", left out"))
     return sentences
 
 
-def summarise(verdicts: Mapping[str, Mapping[int, Verdict]]) -> dict[str, dict[str, Any]]:
-    """By sensor: mapped frames, those in which it was used, its faults."""
+def fault_summary(verdicts: Mapping[str, Mapping[int, Verdict]]) -> dict[str, dict[str, Any]]:
+    """By sensor: the number of mapped frames, of those in which it was used, and its faults."""
     return {
         sensor: {
-            "frames": len(own),
-            "used_frames": sum(verdict == "ok" for verdict in own.values()),
-            "faults": [vars(stretch) for stretch in stretches(own)],
+            "frames": len(by_frame),
+            "used_frames": sum(verdict == "ok" for verdict in by_frame.values()),
+            "faults": [vars(interval) for interval in fault_intervals(by_frame)],
         }
-        for sensor, own in verdicts.items()
+        for sensor, by_frame in verdicts.items()
     }
 
 
-def save(path: Path, verdicts: Mapping[str, Mapping[int, Verdict]]) -> None:
+def save_faults(path: Path, verdicts: Mapping[str, Mapping[int, Verdict]]) -> None:
     """Write `sensors.json`. Raises RunError."""
-    content = {s: facts | {"sentences": describe(s, verdicts[s])} for s, facts in summarise(verdicts).items()}
+    summary = fault_summary(verdicts)
+    content = {s: facts | {"sentences": fault_sentences(s, verdicts[s])} for s, facts in summary.items()}
     write_text(path, json.dumps({"sensors": content}, indent=1) + "\n")

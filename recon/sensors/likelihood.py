@@ -1,4 +1,4 @@
-"""Likelihoods: pure functions of residuals and scales."""
+"""Losses of a predicted error scale: pure functions of residuals and scales."""
 
 from __future__ import annotations
 
@@ -7,28 +7,29 @@ import math
 import torch
 from torch import Tensor
 
-LEVELS = (0.5, 0.9)  # of the central intervals that are to be kept
-LEAST_M = 1e-4  # what is nearer is as good as met
+QUANTILE_LEVELS = (0.5, 0.9)  # of the central intervals whose coverage the quantile loss balances
+MIN_ERROR_M = 1e-4  # smaller errors count as this: their logarithm would diverge
 
 
 def laplace_nll(residual: Tensor, beta: Tensor) -> Tensor:
-    """Negative log-likelihood |r| / beta + log(2 beta) of each residual (...), metres, under a Laplace law.
+    """Negative log-likelihood |r| / beta + log(2 beta) of residuals (...), metres, under a Laplace distribution.
 
-    Paper: mapping loss; the log 2 that it leaves out only makes the figure a true likelihood. Minimal at beta = |r|.
+    The mapping loss of UncLe-SLAM (docs/uncle-paper.md) plus log 2, which makes the value a true likelihood. Minimal at
+    beta = |r|.
     """
     return residual.abs() / beta + torch.log(2 * beta)
 
 
-def interval_loss(residual: Tensor, beta: Tensor) -> Tensor:
-    """How badly the central Laplace intervals of beta cover each residual (...), metres: pinball losses of log |r| at
-    the `LEVELS`, whose sum is minimal where the intervals of both, on average, cover as much as they say.
+def quantile_loss(residual: Tensor, beta: Tensor) -> Tensor:
+    """How far the central Laplace intervals of beta are from covering residuals (...), metres, as often as they should.
 
-    Errors need not be Laplace; then one scale cannot serve both levels, and this misses them by equally much.
-    Logarithms let each reading count alike, whatever its scale (Koenker and Bassett 1978: quantile regression).
+    The sum of the pinball losses of log |r| at the `QUANTILE_LEVELS` (Koenker and Bassett 1978: quantile regression).
+    Errors need not be Laplace; then no scale fits both levels, and the minimum misses them by the same amount. By the
+    logarithm every measurement counts alike, whatever its scale.
     """
-    off = torch.log(residual.abs().clamp(min=LEAST_M))
-    total = torch.zeros_like(off)
-    for level in LEVELS:
-        beyond = off - torch.log(-math.log(1 - level) * beta)
-        total = total + torch.maximum(level * beyond, (level - 1) * beyond)
+    log_error = torch.log(residual.abs().clamp(min=MIN_ERROR_M))
+    total = torch.zeros_like(log_error)
+    for level in QUANTILE_LEVELS:
+        excess = log_error - torch.log(-math.log(1 - level) * beta)
+        total = total + torch.maximum(level * excess, (level - 1) * excess)
     return total

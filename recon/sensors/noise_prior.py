@@ -1,4 +1,4 @@
-"""What one recording taught about its sensors, as a file, and as the start of the next recording of the same rig."""
+"""Noise models of a finished recording as a file, and as the prior of the next recording with the same sensors."""
 
 from __future__ import annotations
 
@@ -15,42 +15,42 @@ from ..core.config.uncle import UncertaintyConfig
 from ..core.errors import ConfigError, RunError
 from ..core.tensor_files import FileFormat
 from ..run.directory import RunDirectory
-from .noise_inputs import FEATURES
+from .noise_inputs import SENSOR_INPUTS
 from .noise_model import NoiseModel
 
 FORMAT = FileFormat(
     "uncle noise models", 1, "a file of noise models",
     "give a run directory that `uncle map` filled, or its map/noise_model.pt",
 )  # fmt: skip
-SHAPE = ("hidden", "inputs", "features", "beta_min_m")  # of a model; what it reads, and what of that it sees
+SHAPE = ("hidden", "inputs", "features", "beta_min_m")  # of a model: inputs it was made for, and those it uses
 
 
 def save_noise_models(path: Path, noise: dict[str, NoiseModel]) -> None:
-    """Write the models that learned anything, by sensor, with what they need to be read again. Raises RunError."""
+    """Write the trained models by sensor, with their shapes. Raises RunError."""
     sensors = {
         name: {
             "weights": {key: values.detach().cpu() for key, values in model.state_dict().items()},
             "hidden": model.config.hidden,
-            "inputs": list(FEATURES),
-            "features": _seen(model),
+            "inputs": list(SENSOR_INPUTS),
+            "features": model.used_inputs,
             "beta_min_m": model.config.beta_min_m,
         }
         for name, model in noise.items()
-        if model.taught
+        if model.is_trained
     }
     FORMAT.save(path, {"sensors": sensors})
 
 
 @dataclass(frozen=True)
 class NoisePrior:
-    """Noise models by sensor name, as `save_noise_models` wrote them to `path`."""
+    """Noise models by sensor name, as `save_noise_models` wrote them to `path`; each with its weights and its shape."""
 
     path: Path
     sensors: dict[str, dict[str, Any]]
 
     @staticmethod
     def load(path: Path) -> NoisePrior:
-        """Of a file, or of the map of a run directory. Raises RunError, ConfigError."""
+        """Read a file, or that of the map of a run directory. Raises RunError, ConfigError."""
         if path.is_dir():
             run = RunDirectory(path)
             run.require_stage("map")
@@ -65,7 +65,7 @@ class NoisePrior:
 
     @property
     def digest(self) -> str:
-        """Short hash of what the models are; not of where the file is."""
+        """Short hash of the models, wherever the file is."""
         content = hashlib.sha256()
         for name, entry in sorted(self.sensors.items()):
             content.update(repr((name, *(entry[key] for key in SHAPE))).encode())
@@ -75,12 +75,12 @@ class NoisePrior:
         return content.hexdigest()[:16]
 
     def covers(self, sensors: Iterable[str]) -> list[str]:
-        """Those of `sensors` that it has a model of. Raises ConfigError if there is none."""
+        """Those of `sensors` that it has a model for. Raises ConfigError if there is none."""
         covered = [sensor for sensor in sensors if sensor in self.sensors]
         if not covered:
             raise ConfigError(
-                f"--prior {self.path} knows none of the sensors {', '.join(sensors)}, only "
-                f"{', '.join(self.sensors) or 'nobody'}; leave --prior out"
+                f"--prior {self.path} has a model of none of the sensors {', '.join(sensors)}, only of "
+                f"{', '.join(self.sensors) or 'none'}; leave --prior out"
             )
         return covered
 
@@ -89,8 +89,8 @@ class NoisePrior:
         for sensor in sensors:
             self._start(sensor, NoiseModel(config, torch.Generator()))
 
-    def teach(self, noise: dict[str, NoiseModel]) -> None:
-        """Let the models of the sensors that are in it start from it. Raises ConfigError."""
+    def initialise(self, noise: dict[str, NoiseModel]) -> None:
+        """Let the models of the sensors that it covers start from it. Raises ConfigError."""
         for sensor, model in noise.items():
             if sensor in self.sensors:
                 self._start(sensor, model)
@@ -98,31 +98,26 @@ class NoisePrior:
     def _start(self, sensor: str, model: NoiseModel) -> None:
         entry = self.sensors[sensor]
         where = f"--prior {self.path}, sensor {sensor}"
-        if entry["inputs"] != list(FEATURES):
-            other = sorted(set(entry["inputs"]) ^ set(FEATURES))
+        if entry["inputs"] != list(SENSOR_INPUTS):
+            other = sorted(set(entry["inputs"]) ^ set(SENSOR_INPUTS))
             raise ConfigError(
-                f"{where}: made for other features ({', '.join(other) or 'in another order'}), by another version; "
+                f"{where}: made for other inputs ({', '.join(other) or 'in another order'}), by another version; "
                 "map that recording again with this one"
             )
-        if entry["features"] != _seen(model):
+        if entry["features"] != model.used_inputs:
             setting = json.dumps(entry["features"])
-            raise ConfigError(f"{where}: it sees other inputs; add --set 'uncertainty.inputs={setting}'")
+            raise ConfigError(f"{where}: it uses other inputs; add --set 'uncertainty.inputs={setting}'")
         if entry["hidden"] != model.config.hidden:
             raise ConfigError(
                 f"{where}: its layers are {entry['hidden']} wide, here {model.config.hidden}; "
                 f"add --set uncertainty.hidden={entry['hidden']}"
             )
         try:
-            model.load_state_dict(entry["weights"])
+            model.initialise_from_prior(entry["weights"])
         except RuntimeError as error:
             raise ConfigError(
                 f"{where}: a network of another shape, by another version; map that recording again with this one"
             ) from error
-        model.has_prior = True
-
-
-def _seen(model: NoiseModel) -> list[str]:
-    return [name for name, seen in zip(FEATURES, model.seen.tolist(), strict=True) if seen]
 
 
 def _read(path: Path) -> dict[str, dict[str, Any]]:

@@ -142,7 +142,7 @@ def default_beta(depth: Tensor) -> Tensor:
 @torch.no_grad()
 def _beta(depth: Tensor, inputs: Tensor | None, model: NoiseModel | None) -> Tensor:
     """depth (N,) metres and inputs (N, F) -> beta (N,) metres."""
-    if model is None or inputs is None or not model.taught:
+    if model is None or inputs is None or not model.is_trained:
         return default_beta(depth)
     device = next(model.parameters()).device
     return model(inputs.to(device)).cpu()

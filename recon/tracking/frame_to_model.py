@@ -13,9 +13,9 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from ..volume.tsdf_query import query_numba, query_torch
 from ..volume.tsdf_volume import TsdfVolume
 from .pose_estimation import Linearised, Term
-from .tsdf_lookup import query_numba, query_torch
 
 SHARE = 0.05  # how much of its information a residual counts: neighbours share most of their error
 COLOR_SIGMA = 0.08  # of 0..1: what colours of the map and of a frame differ by

@@ -1,4 +1,4 @@
-"""Weighted sums of table rows, with a backward pass that is quick on a CPU and on a GPU."""
+"""Weighted sums of table rows, with a backward pass that is fast on a CPU and on a GPU."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ class _WeightedRows(torch.autograd.Function):
     def backward(ctx, grad: Tensor) -> tuple[Tensor, None, None]:
         rows, weights = ctx.saved_tensors
         spread = (weights[..., None] * grad[:, None]).view(-1, grad.shape[1])
-        # One addition a corner; the library's own dense backward sorts all corners first, which takes longer.
+        # One addition per corner; PyTorch's own dense backward sorts all corners first, which takes longer.
         return grad.new_zeros(ctx.size, grad.shape[1]).index_add_(0, rows.view(-1), spread), None, None
 
 

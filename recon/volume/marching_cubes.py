@@ -25,7 +25,7 @@ def extract_isosurface(
     """Marching cubes over the allocated blocks.
 
     Returns vertices (V, 3) float32 metres and faces (F, 3) int32 whose normals point into free space. A cell takes
-    part only if its eight corners are known: the surface ends where nobody looked, it is never closed by a wall.
+    part only if its eight corners are known: the surface ends where nothing was observed, it is never closed by a wall.
     """
     tiles = unique_blocks(torch.div(grid.blocks, TILE_BLOCKS, rounding_mode="floor"))
     parts, count = [], 0

@@ -15,15 +15,16 @@ from torch import Tensor, nn
 
 from ..core.config.uncle import FieldConfig
 from .interpolation import weighted_rows
-from .sparse_grid import ROWS, SparseGrid, unique_blocks
+from .sparse_grid import BLOCK, ROWS, SparseGrid, unique_blocks
 from .tsdf_volume import TsdfVolume
 
 ACTIVE_VOXELS = 3.0  # samples this close to the surface can be moved
-NO_WEIGHT = 1e-4  # a corner that weighs less need not be known: vertices lie on the edges of cells, also of the last
+MIN_CORNER_WEIGHT = 1e-4  # a corner with less need not be known: vertices lie on the edges of cells, also of the last
+_POINTS_AT_A_TIME = 1 << 17
 
 
 class FeatureLevel(nn.Module):
-    """Feature vectors (R, C) on a coarser sparse grid, trilinearly interpolated."""
+    """Feature vectors (R, C) on a coarser sparse grid, interpolated trilinearly."""
 
     def __init__(self, grid: SparseGrid, channels: int, generator: torch.Generator) -> None:
         super().__init__()
@@ -41,9 +42,10 @@ class FeatureLevel(nn.Module):
 class NeuralField(nn.Module):
     """sdf(x) in metres and colour(x) in 0..1.
 
-    base (R, 4) holds the fused sdf and rgb of every sample, sigma (R,) how uncertain that sdf is (1 sigma, metres),
-    known (R,) whether enough readings saw it; `fine` (A + 1, 4) are learned offsets of the A active samples, the first
-    row, of all others, being zero.
+    base    (R, 4) fused sdf and rgb of every sample
+    sigma   (R,) standard deviation of that sdf, metres
+    known   (R,) whether the sample has enough observations
+    fine    (A + 1, 4) learned offsets of the A active samples; the first row, of all others, stays zero
     """
 
     def __init__(
@@ -77,7 +79,7 @@ class NeuralField(nn.Module):
     ) -> NeuralField:
         """The field that equals the fused map; samples with fewer than `min_observations` are unknown to it.
 
-        `weight_scale_m`: weights of the map state the noise of readings, as in `Samples.propagated_sigma`.
+        `weight_scale_m`: the weights are inverse variances, as in `Samples.propagated_sigma`; None: they are not.
         """
         fused = volume.samples()
         sigma = fused.sigma if weight_scale_m is None else fused.propagated_sigma(weight_scale_m)
@@ -87,17 +89,19 @@ class NeuralField(nn.Module):
     def forward(self, points: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         """(N, 3) world points -> sdf (N,) metres, rgb (N, 3), known (N,) bool; sdf and rgb are 0 where unknown."""
         rows, weights = self.grid.trilinear(points)
-        known = ((rows >= 0) & self.known[rows.clamp(min=0)] | (weights < NO_WEIGHT)).all(1)
+        known = ((rows >= 0) & self.known[rows.clamp(min=0)] | (weights < MIN_CORNER_WEIGHT)).all(1)
         rows = rows.clamp(min=0)
         fixed = (self.base[rows] * weights[..., None]).sum(1)
         slots = self.slot[rows]
-        fine = weighted_rows(self.fine, slots, weights * (slots > 0))  # slot 0 must not learn: all free space shares it
+        fine = weighted_rows(
+            self.fine, slots, weights * (slots > 0)
+        )  # slot 0 must not be trained: all free space shares it
         values = fixed + fine + self.correction(points)
         values = values * known[:, None]
         return values[:, 0], values[:, 1:], known
 
     def correction(self, points: Tensor) -> Tensor:
-        """(N, 3) -> (N, 4): what the coarse features say, sdf within +- 2 voxels, colour within +- 1."""
+        """(N, 3) -> (N, 4): correction by the coarse features, of sdf within +- 2 voxels, of colour within +- 1."""
         if not self.levels or len(self.fine) == 1:  # no feature grid, or no sample near a surface to make one for
             return points.new_zeros(len(points), 4)
         features = torch.cat([level(points) for level in self.levels], 1)
@@ -111,7 +115,7 @@ class NeuralField(nn.Module):
         sdf = self.base[rows, 0] + self.fine[self.slot[rows], 0]
         near = (self.known[rows] & (sdf.abs() < voxels * self.grid.voxel_size_m)).nonzero()[:, 0]
         points = self.grid.block_positions(ids).view(-1, 3)
-        for part in near.split(1 << 17):
+        for part in near.split(_POINTS_AT_A_TIME):
             sdf[part] += self.correction(points[part])[:, 0]
         return sdf.view(-1, ROWS), self.known[rows].view(-1, ROWS)
 
@@ -152,8 +156,10 @@ def _coarser(grid: SparseGrid, factor: int, active: Tensor) -> SparseGrid:
     coarse = SparseGrid(grid.voxel_size_m * factor, grid.device)
     blocks = grid.blocks[torch.unique(active // ROWS)]
     if len(blocks):
-        ends = torch.stack([blocks * 8, blocks * 8 + 7, blocks * 8 + 7 + factor])  # with the upper neighbour cell
-        corners = torch.div(ends, factor, rounding_mode="floor") >> 3
+        ends = torch.stack(
+            [blocks * BLOCK, blocks * BLOCK + BLOCK - 1, blocks * BLOCK + BLOCK - 1 + factor]
+        )  # with the upper neighbour cell
+        corners = torch.div(torch.div(ends, factor, rounding_mode="floor"), BLOCK, rounding_mode="floor")
         spans = [torch.stack([corners[i, :, 0], corners[j, :, 1], corners[k, :, 2]], 1)
                  for i in range(3) for j in range(3) for k in range(3)]  # fmt: skip
         coarse.allocate(unique_blocks(torch.cat(spans)))

@@ -1,4 +1,4 @@
-"""Where rays meet the zero level of a sampled signed distance: the proposals of the renderer and the learner."""
+"""Intersection of rays with the zero level of a sampled signed distance."""
 
 from __future__ import annotations
 
@@ -24,15 +24,15 @@ def cast_rays(
     if sdf.device.type == "cpu":
         rays = (np.ascontiguousarray(part.numpy(), dtype=np.float32) for part in (origins, directions))
         steps = int(far_m / step_m) + 1
-        found = _march(*rays, sdf.numpy(), known.numpy(), *grid.lookup(), grid.voxel_size_m, step_m, steps)
-        return torch.from_numpy(found)
+        depth = _march(*rays, sdf.numpy(), known.numpy(), *grid.lookup(), grid.voxel_size_m, step_m, steps)
+        return torch.from_numpy(depth)
     return cast_tensors(grid, sdf, known, origins, directions, far_m, step_m)
 
 
 def cast_tensors(
     grid: SparseGrid, sdf: Tensor, known: Tensor, origins: Tensor, directions: Tensor, far_m: float, step_m: float
 ) -> Tensor:
-    """`cast_rays` on any device, as plain tensor operations; the oracle of the compiled loop."""
+    """`cast_rays` on any device, as plain tensor operations; the tests compare the compiled loop with it."""
     depth = torch.zeros(len(directions), device=directions.device)
     steps = torch.arange(1, int(far_m / step_m) + 2, device=directions.device) * step_m
     for start in range(0, len(directions), CHUNK):
@@ -41,7 +41,9 @@ def cast_tensors(
     return depth
 
 
-def _cast(grid, sdf, known, origins, directions, steps, step_m) -> Tensor:
+def _cast(
+    grid: SparseGrid, sdf: Tensor, known: Tensor, origins: Tensor, directions: Tensor, steps: Tensor, step_m: float
+) -> Tensor:
     depth = torch.zeros(len(directions), device=directions.device)
     rows = grid.nearest_rows(origins[:, None] + directions[:, None] * steps[:, None])
     values = torch.where((rows >= 0) & known[rows.clamp(min=0)], sdf[rows.clamp(min=0)], torch.nan)

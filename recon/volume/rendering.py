@@ -23,11 +23,11 @@ def sdf_weights(sdf: Tensor, known: Tensor, sharpness_m: float) -> Tensor:
 
 
 def render_depth(weights: Tensor, z: Tensor) -> tuple[Tensor, Tensor]:
-    """weights (N, S), z (N, S) metres -> expected depth (N,) metres, variance (N,) metres^2 (paper: D-hat, S-hat^2)."""
+    """weights (N, S), z (N, S) metres -> expected depth (N,) metres, variance (N,) metres^2."""
     depth = (weights * z).sum(1)
     return depth, (weights * (z - depth[:, None]) ** 2).sum(1)
 
 
 def render_values(weights: Tensor, values: Tensor) -> Tensor:
-    """weights (N, S), values (N, S, C) -> (N, C): colour, for instance (paper: I-hat)."""
+    """weights (N, S), values (N, S, C) -> (N, C): expected colour (I-hat of UncLe-SLAM)."""
     return (weights[..., None] * values).sum(1)

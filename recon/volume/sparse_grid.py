@@ -1,7 +1,7 @@
 """A sparse voxel grid: blocks of 8 x 8 x 8 samples, allocated only where there is a surface.
 
-Samples sit at integer multiples of the voxel size (sample (i, j, k) lies at world position voxel_size * (i, j, k)).
-Values live in flat tables with one row per sample; row = block_id * 512 + ((x * 8) + y) * 8 + z inside the block.
+Samples lie at integer multiples of the voxel size (sample (i, j, k) at world position voxel_size * (i, j, k)). Values
+are kept in flat tables with one row per sample; row = block_id * ROWS + (x * BLOCK + y) * BLOCK + z inside the block.
 """
 
 from __future__ import annotations
@@ -11,13 +11,15 @@ import torch
 from numba import njit
 from torch import Tensor
 
-BLOCK = 8
+BLOCK_BITS = 3
+BLOCK = 1 << BLOCK_BITS  # samples on a side: a power of two, so that compiled loops find blocks by shifts
 ROWS = BLOCK**3
+_LAST = BLOCK - 1
 _MARGIN = 8  # blocks of slack when the lookup volume grows, so that it does not grow with every frame
 
 
 class SparseGrid:
-    """Which blocks exist, and where their rows are. Memory: 512 rows a block, 4 bytes per block of the box around."""
+    """The allocated blocks and the rows of their samples. Memory: 4 bytes per block of the bounding box."""
 
     def __init__(self, voxel_size_m: float, device: torch.device | str = "cpu") -> None:
         self.voxel_size_m = float(voxel_size_m)
@@ -76,8 +78,8 @@ class SparseGrid:
         if samples.device.type == "cpu":
             rows = _rows_of(samples.reshape(-1, 3).numpy(), *self.lookup())
             return torch.from_numpy(rows).view(samples.shape[:-1])
-        ids = self.block_ids(samples >> 3)
-        x, y, z = (samples & 7).unbind(-1)
+        ids = self.block_ids(samples >> BLOCK_BITS)
+        x, y, z = (samples & _LAST).unbind(-1)
         return torch.where(ids >= 0, ids * ROWS + (x * BLOCK + y) * BLOCK + z, -1)
 
     def lookup_volume(self) -> tuple[Tensor, Tensor]:
@@ -138,11 +140,12 @@ def unique_blocks(blocks: Tensor) -> Tensor:
 @njit(nogil=True, cache=True)
 def row_of(x: int, y: int, z: int, volume: np.ndarray, origin: np.ndarray) -> int | np.int64:
     """`SparseGrid.sample_rows` of one sample, for compiled loops; volume and origin from `SparseGrid.lookup`."""
-    i, j, k = (x >> 3) - origin[0], (y >> 3) - origin[1], (z >> 3) - origin[2]
+    i, j, k = (x >> BLOCK_BITS) - origin[0], (y >> BLOCK_BITS) - origin[1], (z >> BLOCK_BITS) - origin[2]
     if i < 0 or j < 0 or k < 0 or i >= volume.shape[0] or j >= volume.shape[1] or k >= volume.shape[2]:
         return -1
     block = np.int64(volume[i, j, k])
-    return block * ROWS + (((x & 7) << 6) | ((y & 7) << 3) | (z & 7)) if block >= 0 else -1
+    row = block * ROWS + (((x & _LAST) * BLOCK + (y & _LAST)) * BLOCK + (z & _LAST))
+    return row if block >= 0 else -1
 
 
 @njit(nogil=True, cache=True)

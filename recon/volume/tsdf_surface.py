@@ -1,4 +1,4 @@
-"""The surface of the map as seen from anywhere."""
+"""The zero level of the fused distances, seen from any pose."""
 
 from __future__ import annotations
 
@@ -15,7 +15,11 @@ from .sparse_grid import SparseGrid
 
 @dataclass(frozen=True)
 class TsdfSurface:
-    """Distances sdf (R,) metres of the samples of a grid and which are known (R,); how far rays go, and their steps."""
+    """The surface of a sampled signed distance.
+
+    sdf (R,) metres and known (R,) bool of the samples of `grid`; rays end at the z-depth `far_m` and advance by
+    `step_m`, metres.
+    """
 
     grid: SparseGrid
     sdf: Tensor
@@ -23,23 +27,23 @@ class TsdfSurface:
     far_m: float
     step_m: float
 
-    def cast(self, origins: Tensor, directions: Tensor) -> Tensor:
-        """(N,) z-depth at which rays (N, 3), (N, 3) of unit z-component meet the surface, metres; 0 = they do not."""
+    def raycast(self, origins: Tensor, directions: Tensor) -> Tensor:
+        """(N,) z-depth at which rays (N, 3), (N, 3) of unit z-component meet the surface, metres; 0 = no surface."""
         return cast_rays(self.grid, self.sdf, self.known, origins, directions, self.far_m, self.step_m)
 
-    def along(self, rays: Tensor, T_world_camera: Tensor) -> Tensor:
-        """(N,) z-depth at which rays (N, 3) of a camera meet the surface, metres; 0 = they do not."""
+    def depth_along_rays(self, rays: Tensor, T_world_camera: Tensor) -> Tensor:
+        """(N,) z-depth at which rays (N, 3) of a camera meet the surface, metres; 0 = no surface."""
         T = T_world_camera.to(self.sdf.device)
         directions = rays.to(self.sdf.device) @ T[:3, :3].T
-        return self.cast(T[:3, 3].expand(len(directions), 3), directions)
+        return self.raycast(T[:3, 3].expand(len(directions), 3), directions)
 
     def depth_from(self, camera: Camera, T_world_camera: np.ndarray, stride: int = 1) -> np.ndarray:
-        """(h, w) metres as seen by every `stride`-th pixel of the camera, 0 where nothing is hit."""
+        """(h, w) z-depth, metres, of every `stride`-th pixel of the camera, 0 where there is no surface."""
         rays = camera.rays()[::stride, ::stride]
-        hit = self.along(rays.reshape(-1, 3), torch.from_numpy(np.asarray(T_world_camera)).float())
+        hit = self.depth_along_rays(rays.reshape(-1, 3), torch.from_numpy(np.asarray(T_world_camera)).float())
         return hit.view(rays.shape[:2]).cpu().numpy()
 
     def median_depth(self, camera: Camera, T_world_camera: np.ndarray) -> float | None:
-        """Median depth from there, metres; None where nothing is seen."""
+        """Median z-depth of the image, metres; None if no surface is in view."""
         depth = self.depth_from(camera, T_world_camera, stride=16)
         return float(np.median(depth[depth > 0])) if (depth > 0).any() else None

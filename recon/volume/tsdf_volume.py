@@ -1,7 +1,7 @@
 """Weighted fusion of depth images into signed distances: the closed-form part of the map.
 
-Each sample keeps running sums over all readings that saw it. Where every weight is 1 this is plain fusion of truncated
-distances; with the weights 1 / beta^2 of the learned uncertainty it is the maximum-likelihood mean under that noise.
+Each sample keeps running sums over all its observations. With all weights 1 this is plain fusion of truncated signed
+distances (Curless and Levoy 1996); with inverse variances it is the precision-weighted mean.
 """
 
 from __future__ import annotations
@@ -18,71 +18,74 @@ from .sparse_grid import BLOCK, ROWS, SparseGrid
 
 _TILE = 16  # pixels: occlusion is decided on tiles
 _SPARE = 1.5
-ERROR_CORRELATION = 0.15
+ERROR_CORRELATION = 0.15  # of two observations of one place; of the pixels of one sensor mostly
 MIN_SIGMA_M = 1e-3
-MAX_SIGMA_M = 1.0  # of what is hardly known: a corner that weighs nothing must not decide over a vertex
+MAX_SIGMA_M = 1.0  # of samples with almost no weight: such a corner must not decide the sigma of a vertex
 ALL = slice(None)
 
 
 @dataclass(frozen=True)
 class FreeSpace:
-    """What the readings of an image say about the space before them: weight (H, W), and scale_m (H, W) metres.
+    """Weights of an image for the space in front of its surface: weight (H, W) and scale_m (H, W) metres.
 
-    That nothing is there is a different claim than where the surface is. It is the surer the further the sample lies
-    before the reading, on the scale of the reading's own noise: weight * (1 - exp(-distance / scale_m)).
+    A sample at the distance d in front of the truncation band gets weight * (1 - exp(-d / scale_m)): the farther from
+    the surface, on the scale of the measurement's noise, the more certain it is free.
     """
 
     weight: Tensor
     scale_m: Tensor
 
     @staticmethod
-    def of(weight: Tensor, typical: float, scale_m: Tensor) -> FreeSpace:
-        """A noisy reading still knows that it looked through: its `weight` is drawn half way (geometric mean) to the
-        `typical` one of its image."""
-        return FreeSpace((weight * typical).sqrt(), scale_m)
+    def from_weight(weight: Tensor, median: float, scale_m: Tensor) -> FreeSpace:
+        """Free-space weights from those of the surface: their geometric mean with the `median` one of the image.
+
+        Also a noisy measurement shows that the ray was free.
+        """
+        return FreeSpace((weight * median).sqrt(), scale_m)
 
 
 @dataclass(frozen=True)
 class Samples:
-    """sums (..., 4) and color_sums (..., 4) of some samples of the map, and what follows from them."""
+    """sums (..., 4) and color_sums (..., 4) of some samples of the map (see `TsdfVolume`), and their statistics."""
 
     sums: Tensor
     color_sums: Tensor
 
     @property
     def sdf(self) -> Tensor:
-        """(...) mean signed distance in metres, 0 where there is no reading."""
+        """(...) mean signed distance in metres, 0 where there is no observation."""
         return _mean_sdf(self.sums)
 
     @property
     def spread(self) -> Tensor:
-        """(...) standard deviation of the readings, metres."""
+        """(...) weighted standard deviation of the observed distances, metres."""
         mean_square = self.sums[..., 2] / self.sums[..., 0].clamp(min=1e-12)
         return (mean_square - self.sdf**2).clamp(min=0).sqrt()
 
     @property
     def sigma(self) -> Tensor:
-        """(...) standard error of the mean distance, metres.
+        """(...) standard error of the mean distance, metres, from the spread of the observations.
 
-        Readings of one place share part of their error (same sensor, same texture), so their number helps only up to a
-        point: the variance falls to `ERROR_CORRELATION` of one reading's, never below. Never better than `MIN_SIGMA_M`.
+        Errors of observations of one place are correlated (same sensor, same texture), so the variance of the mean
+        falls with their number to `ERROR_CORRELATION` of a single one's at best; never below `MIN_SIGMA_M`.
         """
         gain = ERROR_CORRELATION + (1 - ERROR_CORRELATION) / self.sums[..., 3].clamp(min=1)
         return (self.spread.square() * gain).sqrt().clamp(min=MIN_SIGMA_M)
 
     def propagated_sigma(self, weight_scale_m: float) -> Tensor:
-        """(...) standard error of the mean distance, metres, where weights are `weight_scale_m`^2 over the beta^2 of a
-        reading and what a voxel blurs, times what it is worth (`FusionWeights`).
+        """(...) standard error of the mean distance, metres, propagated from the weights.
 
-        A Laplace law has the variance 2 beta^2; the mean of what is independent has that over the sum of the weights.
-        What readings of one place share, a part of their spread, stays however many there are.
+        Weights are `weight_scale_m`^2 / (beta^2 + discretisation^2), times the reliability of the sensor
+        (`FusionWeights`). A Laplace distribution has the variance 2 beta^2; the mean of independent observations has
+        that over the sum of the weights. To it is added the correlated part of their spread, which does not average
+        out.
         """
         independent = 2 * weight_scale_m**2 / self.sums[..., 0].clamp(min=1e-12)
         return (independent + ERROR_CORRELATION * self.spread.square()).sqrt().clamp(MIN_SIGMA_M, MAX_SIGMA_M)
 
     @property
     def colors(self) -> Tensor:
-        """(..., 3) mean colour, 0..1; grey where none was seen."""
+        """(..., 3) mean colour, 0..1; grey where there is none."""
         weight = self.color_sums[..., :1]
         return torch.where(weight > 0, self.color_sums[..., 1:] / weight.clamp(min=1e-12) / 255, 0.5)
 
@@ -90,8 +93,8 @@ class Samples:
 class TsdfVolume:
     """Running sums on a sparse grid.
 
-    sums (R, 4): weight, weight * sdf, weight * sdf^2, number of readings; color_sums (R, 4): weight, weight * rgb.
-    `truncation_m` bounds the distances, `max_depth_m` the readings that take part.
+    sums (R, 4): weight, weight * sdf, weight * sdf^2, number of observations; color_sums (R, 4): weight, weight * rgb.
+    `truncation_m` bounds the distances; measurements beyond `max_depth_m` are ignored.
     """
 
     def __init__(self, grid: SparseGrid, camera: Camera, truncation_m: float, max_depth_m: float) -> None:
@@ -112,7 +115,7 @@ class TsdfVolume:
         return 0.75 * self.truncation_m
 
     def allocate(self, depth: Tensor, T_world_camera: Tensor) -> None:
-        """Make blocks along the band of +- truncation around each reading of `depth` (H, W) metres."""
+        """Allocate blocks in the band of +- truncation around each measurement of `depth` (H, W) metres."""
         stride = max(1, int(0.5 * self.grid.block_size_m * self.camera.fx / self.max_depth_m))
         z = depth[::stride, ::stride]
         valid = (z > 0) & (z < self.max_depth_m)
@@ -124,7 +127,7 @@ class TsdfVolume:
         self._grow()
 
     def reset(self) -> None:
-        """Forget all readings, keep the blocks."""
+        """Clear all observations, keep the blocks."""
         self.sums.zero_()
         self.color_sums.zero_()
         self._grow()
@@ -179,21 +182,21 @@ class TsdfVolume:
         )  # fmt: skip
 
     def clear_empty(self) -> None:
-        """Set samples that have no reading left, but for rounding, to exactly nothing."""
+        """Set samples whose observations were all de-integrated to exactly 0, without rounding errors."""
         empty = self.sums[:, 3] < 0.5
         self.sums[empty] = 0.0
         self.color_sums[empty] = 0.0
 
     def samples(self, rows: Tensor | slice = ALL) -> Samples:
-        """What the readings of all samples, or of some `rows` (...), amount to."""
+        """Statistics of all samples, or of some `rows` (...)."""
         return Samples(self.sums[rows], self.color_sums[rows])
 
     def sdf(self) -> Tensor:
-        """(R,) mean signed distance in metres, 0 where there is no reading."""
+        """(R,) mean signed distance in metres, 0 where there is no observation."""
         return _mean_sdf(self.sums)
 
     def counts(self) -> Tensor:
-        """(R,) number of readings of each sample."""
+        """(R,) number of observations of each sample."""
         return self.sums[:, 3]
 
     def _grow(self) -> None:
@@ -203,7 +206,7 @@ class TsdfVolume:
             self.color_sums = _extended(self.color_sums, self.grid.rows)
 
     def _visible(self, depth: Tensor, T_camera_world: Tensor) -> Tensor:
-        """Ids of the blocks that are in view and not wholly behind what the image shows."""
+        """Ids of the blocks that are in view and not wholly hidden by the surface of the image."""
         half = 0.5 * (BLOCK - 1) * self.grid.voxel_size_m
         radius = half * 3**0.5
         centres = self.grid.blocks.float() * self.grid.block_size_m + half

@@ -63,7 +63,7 @@ def test_faults_are_reported_and_the_map_survives(tmp_path):
     assert sensors["sgm"]["sentences"] == [
         "sgm: no readings from frame 12 to 15",
         "sgm: frozen from frame 8 to 11, left out",
-        "sgm: at odds with the map from frame 16 to 19, left out",
+        "sgm: inconsistent with the map from frame 16 to 19, left out",
     ]
     assert all(sentence in said for sentence in sensors["sgm"]["sentences"])
     assert (sensors["sgm"]["used_frames"], sensors["sl"]["used_frames"]) == (8, FRAMES)

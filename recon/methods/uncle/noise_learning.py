@@ -16,8 +16,8 @@ from torch import Tensor
 from ...core.config.uncle import UncertaintyConfig
 from ...mvs.bias_model import BiasModel
 from ...mvs.photometric_samples import PhotometricSamples
+from ...sensors.error_quantiles import fit_error_quantiles
 from ...sensors.fusion_weights import FusionWeights
-from ...sensors.intervals import fit_error_quantiles
 from ...sensors.noise_model import NoiseModel, Residuals
 from ...volume.tsdf_volume import TsdfVolume
 from .ray_buffer import Rays
@@ -49,7 +49,7 @@ class MapResiduals:
     def to_target(self, target: Target) -> Residuals:
         """Residuals to fit the noise model to."""
         metres = self.corrected + self.bias if target == "raw" else self.corrected
-        return Residuals.against_truth(metres, self.inputs)
+        return Residuals.from_exact_reference(metres, self.inputs)
 
 
 def map_residuals(rays: Rays, sensor: str, map_depth: Tensor, bias: BiasModel) -> MapResiduals:
@@ -122,10 +122,10 @@ class NoiseLearner:
             training = residuals
             if evidence.samples is not None:
                 bias = None if raw else evidence.biases[sensor]
-                training = residuals.joined(evidence.samples.sensor_residuals(sensor, bias))
+                training = residuals.concatenate(evidence.samples.sensor_residuals(sensor, bias))
             losses[sensor] = model.learn(training, self.config.steps_per_pass, self.generator, quantile_objective=raw)
             if raw:
-                self.error_quantiles[sensor] = fit_error_quantiles(model.in_betas(residuals))
+                self.error_quantiles[sensor] = fit_error_quantiles(model.normalised(residuals))
         return losses
 
     def _leave_one_out_residuals(self, sensor: str, evidence: MapEvidence) -> MapResiduals:

@@ -33,7 +33,7 @@ def check_against_map(state: ReconstructionState, frame: Frame, pose: Tensor) ->
     """The frame without sensors whose depth is inconsistent with the map as it is before the frame."""
     if state.mapper.is_empty or not state.config.fault_detection.enabled:
         return frame
-    map_depth = state.mapper.surface().along(state.faults.rays, pose)
+    map_depth = state.mapper.surface().depth_along_rays(state.faults.rays, pose)
     return state.faults.check_against_map(frame, map_depth.cpu(), state.config.fusion.max_depth_m)
 
 
@@ -46,7 +46,7 @@ def integrate_new_frame(state: ReconstructionState, frame: Frame, inputs: dict[s
     if state.keyframes.is_keyframe(frame, pose):
         rays = state.rays.draw(frame, inputs, pose, state.generator)
         if state.config.uncertainty.enabled and not mapper.is_empty:
-            map_depth = mapper.surface().cast(rays.origins, rays.directions)
+            map_depth = mapper.surface().raycast(rays.origins, rays.directions)
             state.noise.learn_online(rays, map_depth, state.biases.models)
         state.rays.add(rays, state.generator)
     mapper.allocate(frame, pose)

@@ -158,7 +158,7 @@ def learn_noise(state: ReconstructionState) -> None:
     if not state.config.uncertainty.enabled or rays is None:
         return
     with progress.timed("learning"):
-        map_depth = mapper.surface().cast(rays.origins, rays.directions)
+        map_depth = mapper.surface().raycast(rays.origins, rays.directions)
         evidence = MapEvidence(
             rays, map_depth, mapper.volume, mapper.weights, state.biases.models, state.photometric.samples
         )

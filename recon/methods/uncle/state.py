@@ -75,7 +75,7 @@ def start(frames: RunFrames, config: MapConfig, prior: NoisePrior | None = None)
     generator = torch.Generator().manual_seed(config.seed)
     noise = NoiseLearner(sensors, config.uncertainty, generator, device)
     if prior is not None:
-        prior.teach(noise.models)
+        prior.initialise(noise.models)
     mapper = Mapper(camera, sensors, config, noise.models, device)
     # Given poses need no integration pass, tracked ones do: they change after the online pass.
     last_pass = max(config.fusion.passes, int(config.tracking.enabled))

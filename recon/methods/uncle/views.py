@@ -11,7 +11,7 @@ from torch import Tensor
 from ...core.camera import Camera
 from ...core.events import OnEvent, Progress
 from ...core.frame import Frame
-from ...sensors.noise_inputs import noise_features
+from ...sensors.noise_inputs import pixel_inputs
 from .state import ReconstructionState
 
 
@@ -26,7 +26,7 @@ class View:
 
 def noise_inputs(frame: Frame, normals: dict[str, Tensor], camera: Camera) -> dict[str, Tensor]:
     """(H, W, F) input of the noise model of each sensor; normals (H, W, 3) by sensor."""
-    return {s: noise_features(depth, normals[s], frame.color, camera) for s, depth in frame.depths.items()}
+    return {s: pixel_inputs(depth, normals[s], frame.color, camera) for s, depth in frame.depths.items()}
 
 
 def stream_views(state: ReconstructionState, indices: Sequence[int], for_tracking: bool = False) -> Iterator[View]:

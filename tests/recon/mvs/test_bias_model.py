@@ -7,7 +7,7 @@ from uncle.recon.core.camera import Camera
 from uncle.recon.core.config.uncle import UncertaintyConfig
 from uncle.recon.mvs.bias_model import BiasModel
 from uncle.recon.mvs.bias_validation import ConsistencyTestParameters, CrossViewConsistencyTest, Validation
-from uncle.recon.sensors.noise_inputs import FEATURES, noise_features, relative_spread
+from uncle.recon.sensors.noise_inputs import SENSOR_INPUTS, pixel_inputs, relative_spread
 from uncle.recon.sensors.noise_model import Residuals
 
 CONFIG = UncertaintyConfig(batch=1024, learning_rate=0.01)
@@ -19,13 +19,13 @@ def generator(seed: int = 0) -> torch.Generator:
 
 def smooth(features: torch.Tensor) -> torch.Tensor:
     """The features, of pixels that no edge is near."""
-    features[..., FEATURES.index("spread_7")] = -1.5
+    features[..., SENSOR_INPUTS.index("spread_7")] = -1.5
     return features
 
 
 def trained_bias(metres: float) -> BiasModel:
     """Trained through noise of 5 cm: measurements at depth input x are `metres` * x too far."""
-    features = smooth(torch.randn(20_000, len(FEATURES), generator=generator(1)))
+    features = smooth(torch.randn(20_000, len(SENSOR_INPUTS), generator=generator(1)))
     uniform = torch.rand(20_000, generator=generator(2)) - 0.5
     noise = -0.05 * uniform.sign() * torch.log1p(-2 * uniform.abs())
     bias = BiasModel(CONFIG, generator())
@@ -36,7 +36,7 @@ def trained_bias(metres: float) -> BiasModel:
 
 def test_finds_an_offset_below_the_noise():
     bias = trained_bias(0.03)
-    fresh = smooth(torch.randn(4000, len(FEATURES), generator=generator(3)))
+    fresh = smooth(torch.randn(4000, len(SENSOR_INPUTS), generator=generator(3)))
     found = bias(fresh).detach()
     assert float((found - 0.03 * fresh[:, 0]).abs().median()) < 0.005
     slope = float((found * fresh[:, 0]).mean() / fresh[:, 0].square().mean())
@@ -44,7 +44,7 @@ def test_finds_an_offset_below_the_noise():
 
 
 def test_offset_is_0_unless_active():
-    bias, features = trained_bias(0.03), smooth(torch.ones(3, len(FEATURES)))
+    bias, features = trained_bias(0.03), smooth(torch.ones(3, len(SENSOR_INPUTS)))
     assert bias.offset(features) == 0.0
     bias.active.fill_(True)
     assert torch.equal(bias.offset(features), bias(features).detach())
@@ -59,9 +59,9 @@ def test_offset_is_0_unless_active():
 )
 def test_a_bias_counts_where_it_exceeds_that_of_photometric_depth(beta_m, voxel_size_m, exceeds):
     """It is 2 cm in the median; photometric depth whose beta is a voxel is not used."""
-    features = smooth(torch.randn(4000, len(FEATURES), generator=generator(3)))
+    features = smooth(torch.randn(4000, len(SENSOR_INPUTS), generator=generator(3)))
     nothing = torch.zeros(len(features))
-    features[: 6 * len(features) // 10, FEATURES.index("spread_7")] = 1.0  # beside edges, where the bias is 0
+    features[: 6 * len(features) // 10, SENSOR_INPUTS.index("spread_7")] = 1.0  # beside edges, where the bias is 0
     residuals = Residuals(nothing, features, nothing + beta_m)
     assert trained_bias(0.03).exceeds_photometric_bias(residuals, voxel_size_m) == exceeds
 
@@ -69,7 +69,7 @@ def test_a_bias_counts_where_it_exceeds_that_of_photometric_depth(beta_m, voxel_
 def test_corrects_depths_and_leaves_holes():
     bias = trained_bias(0.03)
     depth = torch.tensor([[2.0, 0.0], [1.0, 0.01]])
-    features = smooth(torch.zeros(2, 2, len(FEATURES)))
+    features = smooth(torch.zeros(2, 2, len(SENSOR_INPUTS)))
     features[..., 0] = torch.tensor([[1.0, 1.0], [-1.0, 2.0]])
     corrected = bias.correct(depth, features)
     assert float(corrected[0, 0]) == pytest.approx(1.97, abs=0.01)
@@ -85,7 +85,7 @@ def test_bias_is_0_at_edges_of_depth():
     depth[:, 30:] = 3.0
     camera = Camera(60, 40, 50.0, 50.0, 29.5, 19.5)
     normals = torch.tensor([0.0, 0.0, -1.0]).expand(40, 60, 3)
-    features = noise_features(depth, normals, torch.full((40, 60, 3), 90, dtype=torch.uint8), camera)
+    features = pixel_inputs(depth, normals, torch.full((40, 60, 3), 90, dtype=torch.uint8), camera)
     off = bias.image(depth, features)[20]
     assert (off[27:33] == 0).all()
     assert (off[:24] != 0).all()
@@ -97,7 +97,7 @@ def test_the_spread_of_depth_follows_from_the_inputs():
     depth = torch.full((40, 60), 2.0)
     depth[:, 30:] = 2.5
     normals = torch.tensor([0.0, 0.0, -1.0]).expand(40, 60, 3)
-    features = noise_features(depth, normals, torch.full((40, 60, 3), 90, dtype=torch.uint8), camera)
+    features = pixel_inputs(depth, normals, torch.full((40, 60, 3), 90, dtype=torch.uint8), camera)
     found = relative_spread(features)[20]
     assert float(found[10]) < 2e-3
     window = 1 / depth[20, 27:34]  # around pixel 30

@@ -208,7 +208,7 @@ def test_samples_of_a_view_lie_on_the_map(box_room, walk):
     np.testing.assert_allclose(depth / samples.map_depth, 1.04, rtol=1e-4)
     residuals = samples.sensor_residuals("stereo")
     torch.testing.assert_close(residuals.metres, depth - samples.depth)
-    torch.testing.assert_close(residuals.blur, samples.beta)
+    torch.testing.assert_close(residuals.reference_scale, samples.beta)
     assert np.median(np.abs(samples.depth.numpy() / map_depth - 1)) < 0.004
     size = box_room.mesh().vertices.max(0)
     walls = np.minimum(np.abs(points), np.abs(points - size)).min(1)

@@ -7,8 +7,8 @@ from uncle.recon.core.camera import Camera
 from uncle.recon.core.config.uncle import FaultDetectionConfig
 from uncle.recon.core.frame import Frame
 from uncle.recon.sensors.fault_detection import (
-    MIN_HISTORY,
     Comparison,
+    FaultDetectionParameters,
     FaultDetector,
     compare_depths,
     image_motion,
@@ -146,8 +146,8 @@ def test_one_sensor_alone_is_blamed_where_the_poses_are_sure(poses_given, expect
 
 def test_the_first_frames_blame_nobody():
     health = make_health("a", "b")
-    watch(health, MIN_HISTORY, lambda i: both(i, slope(i) + 0.2 * i))
-    assert verdicts(health, "b") == "o" * MIN_HISTORY
+    watch(health, FaultDetectionParameters().min_history, lambda i: both(i, slope(i) + 0.2 * i))
+    assert verdicts(health, "b") == "o" * FaultDetectionParameters().min_history
 
 
 def test_the_verdict_stands_where_the_map_is_unknown():
@@ -183,7 +183,7 @@ def test_state_continues_with_the_same_verdicts():
     for i in range(12, 16):
         judge(second, make_frame(i, fault(i)), slope(i))
     assert second.verdicts == unbroken.verdicts
-    assert vars(second._past["a"]) == vars(unbroken._past["a"])
+    assert second.state_dict()["history"] == unbroken.state_dict()["history"]
     assert verdicts(first, "b") == "o" * 10 + "ff"  # what is loaded is not shared
 
 
@@ -193,7 +193,7 @@ def test_compare_depths_is_signed_and_robust():
     depth = predicted * 1.1
     depth[:30] = 5.0
     found = compare_depths(depth, predicted, FAR_M)
-    assert found.bias == pytest.approx(0.1, abs=1e-5)
+    assert found.median == pytest.approx(0.1, abs=1e-5)
     assert found.count == 100
     assert compare_depths(-depth.clamp(max=0), predicted, FAR_M).count == 0
     assert compare_depths(depth, predicted, 4.0).count == 70

@@ -3,13 +3,12 @@
 import torch
 from uncle.recon.core.config.uncle import FusionConfig
 from uncle.recon.sensors.fusion_weights import (
-    FREE_SPACE_SCALE_BETAS,
-    MIN_RELATIVE_WEIGHT,
-    PHOTOMETRIC_FREE_SPACE_FACTOR,
+    FusionWeightParameters,
     FusionWeights,
     median_weight,
 )
 
+PARAMETERS = FusionWeightParameters()
 VALID = torch.tensor([[True, True, True, False]])
 BETA = torch.tensor([[1.0, 0.1, 0.05, 0.01]])  # the sharpest is no reading
 
@@ -31,9 +30,11 @@ def test_readings_of_an_image_have_a_floor_below_its_typical_one():
     weights = weights_of()
     typical = float(weights.inverse_variance(torch.tensor(0.1)))
     weight, free_space = weights.for_sensor(BETA, VALID, "a")
-    torch.testing.assert_close(weight[VALID] / typical, torch.tensor([MIN_RELATIVE_WEIGHT, 1.0, 4.0]))
-    torch.testing.assert_close(free_space.weight[VALID] / typical, torch.tensor([MIN_RELATIVE_WEIGHT, 1.0, 4.0]).sqrt())
-    torch.testing.assert_close(free_space.scale_m, FREE_SPACE_SCALE_BETAS * BETA)
+    torch.testing.assert_close(weight[VALID] / typical, torch.tensor([PARAMETERS.min_relative_weight, 1.0, 4.0]))
+    torch.testing.assert_close(
+        free_space.weight[VALID] / typical, torch.tensor([PARAMETERS.min_relative_weight, 1.0, 4.0]).sqrt()
+    )
+    torch.testing.assert_close(free_space.scale_m, PARAMETERS.free_space_scale_betas * BETA)
     assert torch.equal(weights.for_sensor(BETA, torch.zeros_like(VALID), "a")[0], weights.inverse_variance(BETA, "a"))
 
 
@@ -52,7 +53,7 @@ def test_photometric_weights_have_no_floor_and_little_free_space():
     weight, free_space = weights.for_photometric(BETA, VALID, frames=3.0)
     torch.testing.assert_close(weight, 3 * weights.inverse_variance(BETA))
     typical = 3 * weights.inverse_variance(torch.tensor(0.1))
-    torch.testing.assert_close(free_space.weight, PHOTOMETRIC_FREE_SPACE_FACTOR * (weight * typical).sqrt())
+    torch.testing.assert_close(free_space.weight, PARAMETERS.photometric_free_space_factor * (weight * typical).sqrt())
 
 
 def test_the_typical_weight_is_the_lower_median():

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 from scipy.stats import laplace
-from uncle.recon.sensors.likelihood import LEVELS, interval_loss, laplace_nll
+from uncle.recon.sensors.likelihood import QUANTILE_LEVELS, laplace_nll, quantile_loss
 
 
 def test_agrees_with_scipy():
@@ -35,7 +35,7 @@ def test_minimal_where_beta_is_the_residual(residual):
 def best_scale(errors: torch.Tensor) -> float:
     """The constant beta of the smallest interval loss, by a fine search."""
     scales = torch.logspace(-2, 1, 400)
-    return float(scales[torch.stack([interval_loss(errors, scale).mean() for scale in scales]).argmin()])
+    return float(scales[torch.stack([quantile_loss(errors, scale).mean() for scale in scales]).argmin()])
 
 
 def test_intervals_of_laplace_errors_are_best_at_their_scale():
@@ -47,12 +47,12 @@ def test_intervals_of_laplace_errors_are_best_at_their_scale():
 def test_intervals_of_other_errors_miss_both_levels_by_as_much():
     errors = torch.linspace(-1, 1, 20_001)  # flat: no scale covers half and nine tenths
     beta = best_scale(errors)
-    half, most = (float((errors.abs() <= -beta * math.log(1 - level)).float().mean()) for level in LEVELS)
+    half, most = (float((errors.abs() <= -beta * math.log(1 - level)).float().mean()) for level in QUANTILE_LEVELS)
     assert most > 0.97
     assert 0.5 - half == pytest.approx(most - 0.9, abs=0.02)
 
 
 def test_a_small_error_counts_as_much_as_a_large_one():
     beta = torch.tensor([0.001, 0.1])
-    assert interval_loss(2 * beta, beta)[0] == pytest.approx(float(interval_loss(2 * beta, beta)[1]))
-    assert torch.isfinite(interval_loss(torch.zeros(1), beta)).all()
+    assert quantile_loss(2 * beta, beta)[0] == pytest.approx(float(quantile_loss(2 * beta, beta)[1]))
+    assert torch.isfinite(quantile_loss(torch.zeros(1), beta)).all()

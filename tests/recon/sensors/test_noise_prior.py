@@ -20,7 +20,7 @@ from uncle.recon.run.checkpoint import Checkpoint
 from uncle.recon.run.directory import RunDirectory
 from uncle.recon.run.frames import RunFrames
 from uncle.recon.sensors import noise_prior
-from uncle.recon.sensors.noise_inputs import FEATURES
+from uncle.recon.sensors.noise_inputs import SENSOR_INPUTS
 from uncle.recon.sensors.noise_model import NoiseModel, Residuals
 from uncle.recon.sensors.noise_prior import NoisePrior, save_noise_models
 from uncle.recon.stages import map as map_stage
@@ -45,8 +45,8 @@ def settings(*overrides: str, method: str = "uncle", **top_level) -> MapConfig:
 def learned_model(seed: int = 0, **config) -> NoiseModel:
     generator = torch.Generator().manual_seed(seed)
     model = NoiseModel(UncertaintyConfig(batch=64, **config), generator)
-    features = torch.rand(500, len(FEATURES), generator=generator)
-    model.learn(Residuals.against_truth(0.05 * features[:, 0], features), 20, generator)
+    features = torch.rand(500, len(SENSOR_INPUTS), generator=generator)
+    model.learn(Residuals.from_exact_reference(0.05 * features[:, 0], features), 20, generator)
     return model
 
 
@@ -59,13 +59,13 @@ def file(tmp_path):
 
 def test_a_model_starts_as_the_one_that_was_saved(file):
     model = NoiseModel(UncertaintyConfig(), torch.Generator().manual_seed(9))
-    features = torch.rand(100, len(FEATURES), generator=torch.Generator().manual_seed(3))
-    assert not model.taught
+    features = torch.rand(100, len(SENSOR_INPUTS), generator=torch.Generator().manual_seed(3))
+    assert not model.is_trained
     untouched = NoiseModel(UncertaintyConfig(), torch.Generator().manual_seed(8))
-    NoisePrior.load(file).teach({"sgm": model, "psmnet": untouched})
+    NoisePrior.load(file).initialise({"sgm": model, "psmnet": untouched})
     assert torch.equal(model(features), learned_model(2)(features))
-    assert model.taught
-    assert not untouched.taught
+    assert model.is_trained
+    assert not untouched.is_trained
 
 
 def test_models_that_learned_nothing_are_not_saved(tmp_path):
@@ -118,8 +118,8 @@ def test_models_of_another_shape_are_refused(file, tmp_path, monkeypatch):
     prior.sensors["sl"]["weights"]["layers.0.bias"] = torch.zeros(3)
     with pytest.raises(ConfigError, match="another shape"):
         prior.require_fit(["sl"], UncertaintyConfig())
-    monkeypatch.setattr(noise_prior, "FEATURES", (*FEATURES[:-1], "novelty"))
-    with pytest.raises(ConfigError, match=rf"sensor sgm.*other features \({FEATURES[-1]}, novelty\)"):
+    monkeypatch.setattr(noise_prior, "SENSOR_INPUTS", (*SENSOR_INPUTS[:-1], "novelty"))
+    with pytest.raises(ConfigError, match=rf"sensor sgm.*other inputs \({SENSOR_INPUTS[-1]}, novelty\)"):
         prior.require_fit(["sgm"], UncertaintyConfig())
 
 
@@ -134,7 +134,7 @@ def test_the_advice_on_inputs_helps(tmp_path):
 def test_sensors_without_a_model(file):
     prior = NoisePrior.load(file)
     assert prior.covers(("psmnet", "sgm")) == ["sgm"]
-    with pytest.raises(ConfigError, match="none of the sensors tof, only sl, sgm"):
+    with pytest.raises(ConfigError, match="none of the sensors tof, only of sl, sgm"):
         prior.covers(("tof",))
 
 

@@ -8,7 +8,7 @@ import torch
 from uncle.recon.core.camera import Camera
 from uncle.recon.core.config.uncle import TrackingConfig, UncertaintyConfig
 from uncle.recon.core.frame import Frame
-from uncle.recon.sensors.noise_inputs import FEATURES
+from uncle.recon.sensors.noise_inputs import SENSOR_INPUTS
 from uncle.recon.sensors.noise_model import NoiseModel, Residuals
 from uncle.recon.tracking.frame_observations import (
     DEFAULT_BETA,
@@ -38,7 +38,9 @@ def frame(**depths: torch.Tensor) -> Frame:
 def taught(beta_m: float) -> NoiseModel:
     """A model that says `beta_m` whatever it sees."""
     model = NoiseModel(UncertaintyConfig(), torch.Generator().manual_seed(0))
-    model.learn(Residuals.against_truth(torch.ones(20), torch.zeros(20, len(FEATURES))), 1, torch.Generator())
+    model.learn(
+        Residuals.from_exact_reference(torch.ones(20), torch.zeros(20, len(SENSOR_INPUTS))), 1, torch.Generator()
+    )
     with torch.no_grad():
         model.layers[-1].weight.zero_()
         model.layers[-1].bias.fill_(math.log(math.expm1(beta_m - model.config.beta_min_m)))
@@ -46,7 +48,7 @@ def taught(beta_m: float) -> NoiseModel:
 
 
 def seen(made: Frame) -> dict[str, torch.Tensor]:
-    return {sensor: torch.zeros(120, 160, len(FEATURES)) for sensor in made.depths}
+    return {sensor: torch.zeros(120, 160, len(SENSOR_INPUTS)) for sensor in made.depths}
 
 
 def features_at(*uv: tuple[float, float]) -> LocalFeatures:

@@ -16,8 +16,8 @@ from uncle.recon.tracking.frame_to_model import (
     surface_term,
 )
 from uncle.recon.tracking.pose_estimation import minimise
-from uncle.recon.tracking.tsdf_lookup import query_numba, query_torch
 from uncle.recon.volume.sparse_grid import SparseGrid
+from uncle.recon.volume.tsdf_query import query_numba, query_torch
 from uncle.recon.volume.tsdf_volume import TsdfVolume
 
 CORNER = 0.785  # the angle at which the camera sees a corner of the room

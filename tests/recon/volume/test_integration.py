@@ -15,7 +15,7 @@ def observation(room, weighted: bool, free: bool, colored: bool) -> tuple[Observ
     depth, generator = torch.from_numpy(room.depth(pose)).float(), torch.Generator().manual_seed(3)
     depth[torch.rand(depth.shape, generator=generator) < 0.1] = 0.0
     weight = 0.1 + torch.rand(depth.shape, generator=generator) if weighted else None
-    space = FreeSpace.of(weight, 0.5, 0.2 * weight) if free else FreeSpace(None, None)
+    space = FreeSpace.from_weight(weight, 0.5, 0.2 * weight) if free else FreeSpace(None, None)
     color = torch.randint(0, 255, (*depth.shape, 3), generator=generator, dtype=torch.uint8) if colored else None
     T_world_camera = torch.from_numpy(pose).float()
     T_camera_world = torch.linalg.inv(T_world_camera)

@@ -7,7 +7,7 @@ from uncle.recon.core.camera import Camera
 from uncle.recon.core.config.uncle import FieldConfig
 from uncle.recon.core.errors import DataError
 from uncle.recon.core.mesh import Mesh
-from uncle.recon.volume.mesh_extraction import make_mesh, seen_vertices
+from uncle.recon.volume.mesh_extraction import make_mesh, visible_vertices
 from uncle.recon.volume.neural_field import NeuralField
 from uncle.recon.volume.sparse_grid import SparseGrid
 
@@ -113,7 +113,7 @@ def test_seen_vertices_of_a_box(box_room):
     vertices = np.concatenate([vertices, vertices + np.array([4.0, 0, 0])]).astype(np.float32)
     room = box_room.mesh()
     joined = Mesh(np.concatenate([vertices, room.vertices]).astype(np.float32), room.faces + len(vertices))
-    seen = seen_vertices(joined, box_room.camera, [box_room.pose(0.0)], 0.02)[: len(vertices)]
+    seen = visible_vertices(joined, box_room.camera, [box_room.pose(0.0)], 0.02)[: len(vertices)]
     pose = box_room.pose(0.0)
     local = (vertices - pose[:3, 3]) @ pose[:3, :3]
     u, v, z = box_room.camera.project(torch.from_numpy(local).float())

@@ -98,7 +98,7 @@ def test_readings_that_agree_leave_what_they_are_said_to_err():
 
 def test_free_space_weight_is_the_geometric_mean():
     weight = torch.tensor([[1.0, 4.0], [0.04, 0.0]])
-    found = FreeSpace.of(weight, 0.25, plane(0.1))
+    found = FreeSpace.from_weight(weight, 0.25, plane(0.1))
     torch.testing.assert_close(found.weight, torch.tensor([[0.5, 1.0], [0.1, 0.0]]))
 
 
@@ -110,7 +110,7 @@ def test_doubt_weakens_only_the_claim_on_free_space():
     for made in (volume, plain):
         made.allocate(plane(1.2), torch.eye(4))
         made.allocate(plane(2.0), torch.eye(4))
-    volume.integrate(plane(2.0), weight, None, torch.eye(4), FreeSpace.of(weight, 1.0, doubt))
+    volume.integrate(plane(2.0), weight, None, torch.eye(4), FreeSpace.from_weight(weight, 1.0, doubt))
     plain.integrate(plane(2.0), weight, None, torch.eye(4))
     found, full = volume.sums[:, 0], plain.sums[:, 0]
     beyond = 2.0 - positions(volume)[:, 2] - TRUNCATION
@@ -260,7 +260,7 @@ def integrated(volume: TsdfVolume, room, index: int, subtract_of_blocks: int | N
     depth, generator = torch.from_numpy(room.depth(pose)).float(), torch.Generator().manual_seed(index)
     weight = 0.5 + torch.rand(depth.shape, generator=generator)
     color = torch.randint(0, 255, (*depth.shape, 3), generator=generator, dtype=torch.uint8)
-    pose, free_space = torch.from_numpy(pose).float(), FreeSpace.of(weight, 1.0, 0.1 * weight)
+    pose, free_space = torch.from_numpy(pose).float(), FreeSpace.from_weight(weight, 1.0, 0.1 * weight)
     if subtract_of_blocks is not None:
         volume.deintegrate(depth, weight, color, pose, free_space, subtract_of_blocks)
         return

@@ -8,7 +8,7 @@ import torch
 from uncle.recon.core.config.uncle import UncertaintyConfig
 from uncle.recon.core.se3 import apply_motion
 from uncle.recon.methods.uncle.fusion_log import FusionLog, FusionLogParameters
-from uncle.recon.sensors.noise_inputs import FEATURES
+from uncle.recon.sensors.noise_inputs import SENSOR_INPUTS
 from uncle.recon.sensors.noise_model import NoiseModel, Residuals
 
 
@@ -44,11 +44,11 @@ def test_records_do_not_share_memory_with_the_given_pose():
 
 def test_snapshots_are_shared_until_a_model_learns():
     log, noise = FusionLog(), models()
-    features = torch.rand(50, len(FEATURES))
+    features = torch.rand(50, len(SENSOR_INPUTS))
     log.add(0, torch.eye(4), noise, 1)
     log.add(1, torch.eye(4), noise, 2)
     before = noise["b"](features).detach()
-    noise["b"].learn(Residuals.against_truth(torch.rand(50), features), 3, torch.Generator())
+    noise["b"].learn(Residuals.from_exact_reference(torch.rand(50), features), 3, torch.Generator())
     log.add(2, torch.eye(4), noise, 3)
     log.add(3, torch.eye(4), noise, 4)
     assert [log.records[i].snapshot for i in range(4)] == [0, 0, 1, 1]
@@ -68,7 +68,7 @@ def test_state_round_trip():
     again.load_state_dict(log.state_dict())
     assert again.records[3].block_count == 7
     assert torch.equal(again.records[3].T_world_camera, log.records[3].T_world_camera)
-    features = torch.rand(5, len(FEATURES))
+    features = torch.rand(5, len(SENSOR_INPUTS))
     assert torch.equal(again.noise_models(again.records[3], models())["a"](features), noise["a"](features))
     log.clear()
     assert not log.records
@@ -85,7 +85,7 @@ def test_a_state_comes_back_where_the_map_is():
     restored.load_state_dict(log.state_dict())
     assert torch.equal(restored.records[4].T_world_camera, log.records[4].T_world_camera)
     assert (restored.records[4].snapshot, restored.records[4].block_count) == (0, 7)
-    features = torch.rand(5, len(FEATURES))
+    features = torch.rand(5, len(SENSOR_INPUTS))
     assert torch.equal(restored.noise_models(restored.records[4], models())["b"](features), noise["b"](features))
     elsewhere.load_state_dict(log.state_dict(), "meta")
     assert elsewhere.records[4].T_world_camera.device.type == "meta"

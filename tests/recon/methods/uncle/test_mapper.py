@@ -7,8 +7,8 @@ from uncle.recon.core.config.map_config import MapConfig, make_config
 from uncle.recon.core.frame import Frame
 from uncle.recon.methods.uncle.mapper import Mapper
 from uncle.recon.methods.uncle.views import noise_inputs
-from uncle.recon.sensors.fusion_weights import FREE_SPACE_SCALE_BETAS
-from uncle.recon.sensors.noise_inputs import FEATURES
+from uncle.recon.sensors.fusion_weights import FusionWeightParameters
+from uncle.recon.sensors.noise_inputs import SENSOR_INPUTS
 from uncle.recon.sensors.noise_model import NoiseModel, Residuals
 
 CAMERA = Camera(80, 60, 60.0, 60.0, 39.5, 29.5)
@@ -55,7 +55,9 @@ def test_without_uncertainty_every_measurement_weighs_the_same():
 
 def test_noise_inputs_are_made_for_every_sensor():
     inputs = inputs_of(make_frame(0, 2.0, 2.1, names=("a", "b")))
-    assert {sensor: image.shape for sensor, image in inputs.items()} == dict.fromkeys("ab", (60, 80, len(FEATURES)))
+    assert {sensor: image.shape for sensor, image in inputs.items()} == dict.fromkeys(
+        "ab", (60, 80, len(SENSOR_INPUTS))
+    )
 
 
 def test_the_surface_follows_every_change_of_the_map():
@@ -64,7 +66,7 @@ def test_the_surface_follows_every_change_of_the_map():
     ray = torch.tensor([[0.0, 0.0, 1.0]])
 
     def depth() -> float:
-        return float(mapper.surface().along(ray, torch.eye(4)))
+        return float(mapper.surface().depth_along_rays(ray, torch.eye(4)))
 
     frame, moved = make_frame(0, 2.0), torch.eye(4)
     integrate(mapper, frame)
@@ -91,7 +93,7 @@ def test_free_space_is_weighted_on_the_scale_of_beta():
     full = float(mapper.weights.inverse_variance(torch.tensor(beta), "a"))
     free = observed & (distance > 0.01)
     assert free.sum() > 1000
-    expected = full * (1 - torch.exp(-distance[free] / (FREE_SPACE_SCALE_BETAS * beta)))
+    expected = full * (1 - torch.exp(-distance[free] / (FusionWeightParameters().free_space_scale_betas * beta)))
     torch.testing.assert_close(volume.sums[free, 0], expected, rtol=1e-3, atol=1e-6)
     band = observed & (distance < -0.01)
     torch.testing.assert_close(volume.sums[band, 0], torch.full_like(z[band], full), rtol=1e-4, atol=0)
@@ -198,9 +200,11 @@ def test_reintegration_is_as_if_the_new_pose_had_been_known():
     corrected.integrate(frames[0], inputs[0], torch.eye(4))
     corrected.integrate(frames[1], inputs[1], wrong)
     corrected.integrate(frames[2], inputs[2], torch.eye(4))
-    model, pixels = corrected.noise["a"], inputs[1]["a"].reshape(-1, len(FEATURES))
+    model, pixels = corrected.noise["a"], inputs[1]["a"].reshape(-1, len(SENSOR_INPUTS))
     old = model(pixels).detach()
-    model.learn(Residuals.against_truth(torch.full((len(pixels),), 0.01), pixels), 30, torch.Generator().manual_seed(1))
+    model.learn(
+        Residuals.from_exact_reference(torch.full((len(pixels),), 0.01), pixels), 30, torch.Generator().manual_seed(1)
+    )
     assert (model(pixels).detach() / old - 1).abs().max() > 0.01
     corrected.reintegrate(frames[1], inputs[1], right)
     known.integrate(frames[0], inputs[0], torch.eye(4))

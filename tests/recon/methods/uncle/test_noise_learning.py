@@ -11,7 +11,7 @@ from uncle.recon.methods.uncle.noise_learning import MapEvidence, NoiseLearner, 
 from uncle.recon.methods.uncle.ray_buffer import RayBuffer, Rays
 from uncle.recon.methods.uncle.views import noise_inputs
 from uncle.recon.mvs.bias_model import BiasModel
-from uncle.recon.sensors.noise_inputs import FEATURES
+from uncle.recon.sensors.noise_inputs import SENSOR_INPUTS
 
 CAMERA = Camera(80, 60, 60.0, 60.0, 39.5, 29.5)
 CPU = torch.device("cpu")
@@ -49,7 +49,7 @@ class Scene:
         return self.buffer.draw(frame, self.inputs(frame), torch.eye(4), self.generator)
 
     def map_depth(self, rays: Rays) -> torch.Tensor:
-        return self.mapper.surface().cast(rays.origins, rays.directions)
+        return self.mapper.surface().raycast(rays.origins, rays.directions)
 
     def left_out(self, rays: Rays):
         residuals = map_residuals(rays, "a", self.map_depth(rays), self.biases["a"])
@@ -128,6 +128,6 @@ def test_learns_which_sensor_is_noisy():
     assert set(scene.learner.error_quantiles) == set(names)
     restored = NoiseLearner(names, scene.learner.config, torch.Generator(), CPU)
     restored.load_state_dict(scene.learner.state_dict())
-    pixels = torch.rand(5, len(FEATURES))
+    pixels = torch.rand(5, len(SENSOR_INPUTS))
     assert torch.equal(restored.models["bad"](pixels), models["bad"](pixels))
     assert restored.error_quantiles == scene.learner.error_quantiles

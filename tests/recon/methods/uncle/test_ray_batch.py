@@ -7,7 +7,7 @@ from uncle.recon.methods.uncle.ray_batch import photometric_rays, sensor_rays
 from uncle.recon.methods.uncle.ray_buffer import Rays
 from uncle.recon.mvs.bias_model import BiasModel
 from uncle.recon.mvs.photometric_samples import PhotometricSamples
-from uncle.recon.sensors.noise_inputs import FEATURES
+from uncle.recon.sensors.noise_inputs import SENSOR_INPUTS
 from uncle.recon.sensors.noise_model import START_BETA_M, NoiseModel
 
 CPU = torch.device("cpu")
@@ -31,7 +31,7 @@ def models() -> dict[str, NoiseModel]:
 
 
 def test_sensors_have_their_beta_and_reliability():
-    rays, noise = make_rays(len(FEATURES)), models()
+    rays, noise = make_rays(len(SENSOR_INPUTS)), models()
     batch = sensor_rays(rays, noise, {"b": 0.25, "a": 1.5})
     assert len(batch) == 6
     assert batch.reliability.tolist() == [1.5, 0.25]
@@ -48,7 +48,7 @@ def test_without_uncertainty_all_betas_are_alike():
 
 
 def test_some_rows():
-    batch = sensor_rays(make_rays(len(FEATURES)), models(), {"a": 1.0, "b": 1.0})
+    batch = sensor_rays(make_rays(len(SENSOR_INPUTS)), models(), {"a": 1.0, "b": 1.0})
     some = batch.at(torch.tensor([4, 1]))
     assert torch.equal(some.depths, batch.depths[[4, 1]])
     assert torch.equal(some.colors, batch.colors[[4, 1]])
@@ -56,7 +56,7 @@ def test_some_rows():
 
 
 def test_active_biases_are_subtracted():
-    rays = make_rays(len(FEATURES))
+    rays = make_rays(len(SENSOR_INPUTS))
     biases = {s: BiasModel(UncertaintyConfig(), torch.Generator().manual_seed(2)) for s in ("b", "a")}
     assert torch.equal(rays.without_bias(biases).depths, rays.depths)
     biases["b"].active.fill_(True)

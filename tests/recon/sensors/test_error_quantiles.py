@@ -3,14 +3,14 @@
 import numpy as np
 import pytest
 from uncle.recon.evaluation.uncertainty_calibration import evaluate_uncertainty
-from uncle.recon.sensors.intervals import LEVELS, MIN_MEASUREMENTS, fit_error_quantiles, key_of
+from uncle.recon.sensors.error_quantiles import LEVELS, MIN_MEASUREMENTS, fit_error_quantiles, level_key
 
 
 def test_quantiles_of_flat_errors():
     stated = fit_error_quantiles(np.random.default_rng(0).permutation(np.linspace(0, 2, 10_001)))
-    assert list(stated) == [key_of(level) for level in LEVELS] == [str(n) for n in range(5, 100, 5)]
+    assert list(stated) == [level_key(level) for level in LEVELS] == [str(n) for n in range(5, 100, 5)]
     for level in LEVELS:
-        assert stated[key_of(level)] == pytest.approx(2 * level, abs=1e-3)
+        assert stated[level_key(level)] == pytest.approx(2 * level, abs=1e-3)
 
 
 def test_too_few_state_nothing():

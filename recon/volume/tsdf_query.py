@@ -1,4 +1,4 @@
-"""What the map shows at points between its samples: distance, certainty and colour, with their gradients."""
+"""The map at points between its samples: distance, its sigma and grey value, with gradients (trilinear)."""
 
 from __future__ import annotations
 
@@ -9,16 +9,23 @@ import torch
 from numba import njit
 from torch import Tensor
 
-from ..volume.sparse_grid import CORNERS, row_of
-from ..volume.tsdf_volume import ERROR_CORRELATION, MIN_SIGMA_M, TsdfVolume
+from .sparse_grid import CORNERS, row_of
+from .tsdf_volume import ERROR_CORRELATION, MIN_SIGMA_M, TsdfVolume
 
-_COLUMNS = 9  # of what the compiled loop finds: sdf, gradient, sigma, grey, its gradient
+_COLUMNS = 9  # of the values of the compiled loop: sdf, gradient, sigma, grey, its gradient
 
 
 @dataclass(frozen=True)
-class Seen:
-    """Of the K points that lie where the map is known, `kept` (K,) int64: sdf and sigma (K,) metres, gradient (K, 3),
-    grey (K,) 0..1 and its gradient (K, 3) in 1 / metres."""
+class TsdfQuery:
+    """The map at the K of N points whose eight surrounding samples are all observed.
+
+    kept           (K,) int64 indices of these points
+    sdf            (K,) metres, signed distance from the surface
+    gradient       (K, 3) of it
+    sigma          (K,) metres, its standard deviation
+    grey           (K,) 0..1
+    grey_gradient  (K, 3) 1 / metre
+    """
 
     kept: Tensor
     sdf: Tensor
@@ -28,33 +35,36 @@ class Seen:
     grey_gradient: Tensor
 
 
-def query_numba(volume: TsdfVolume, points: Tensor, T_world_points: Tensor) -> Seen:
-    """The map at points (N, 3), on the CPU. The same as `query_torch`, in one pass."""
-    found, kept = np.empty((len(points), _COLUMNS), np.float32), np.empty(len(points), np.int64)
+def query_numba(volume: TsdfVolume, points: Tensor, T_world_points: Tensor) -> TsdfQuery:
+    """The map at points (N, 3) moved by T_world_points (4, 4), on the CPU: `query_torch` as one compiled loop."""
+    values, kept = np.empty((len(points), _COLUMNS), np.float32), np.empty(len(points), np.int64)
     tables = (volume.sums.numpy(), volume.color_sums.numpy(), *volume.grid.lookup())
-    where = (points.numpy(), T_world_points[:3, :3].numpy(), T_world_points[:3, 3].numpy())
-    count = _look(*where, *tables, volume.grid.voxel_size_m, ERROR_CORRELATION, MIN_SIGMA_M, found, kept)
-    values = torch.from_numpy(found[:count])
-    sdf, gradient, sigma, grey, slope = values.split([1, 3, 1, 1, 3], 1)
-    return Seen(torch.from_numpy(kept[:count]), sdf[:, 0], gradient, sigma[:, 0], grey[:, 0], slope)
+    places = (points.numpy(), T_world_points[:3, :3].numpy(), T_world_points[:3, 3].numpy())
+    count = _query_loop(*places, *tables, volume.grid.voxel_size_m, ERROR_CORRELATION, MIN_SIGMA_M, values, kept)
+    columns = torch.from_numpy(values[:count])
+    sdf, gradient, sigma, grey, grey_gradient = columns.split([1, 3, 1, 1, 3], 1)
+    return TsdfQuery(torch.from_numpy(kept[:count]), sdf[:, 0], gradient, sigma[:, 0], grey[:, 0], grey_gradient)
 
 
-def query_torch(volume: TsdfVolume, points: Tensor, T_world_points: Tensor) -> Seen:
-    """The map at points (N, 3) on any device, as plain tensor operations; the oracle of the compiled loop."""
+def query_torch(volume: TsdfVolume, points: Tensor, T_world_points: Tensor) -> TsdfQuery:
+    """The map at points (N, 3) moved by T_world_points (4, 4), on any device, as tensor operations.
+
+    The tests compare it with `query_numba`.
+    """
     world = points @ T_world_points[:3, :3].T + T_world_points[:3, 3]
     rows, weights = volume.grid.trilinear(world)
-    known = (rows >= 0) & (volume.sums[rows.clamp(min=0), 3] >= 1)
-    kept = known.all(1).nonzero()[:, 0]
+    observed = (rows >= 0) & (volume.sums[rows.clamp(min=0), 3] >= 1)
+    kept = observed.all(1).nonzero()[:, 0]
     corners, weights = CORNERS.to(world.device), weights[kept]
     part = world[kept] / volume.grid.voxel_size_m
     part = part - part.floor()
-    along = torch.where(corners.bool(), part[:, None], 1 - part[:, None])  # (K, 8, 3)
-    x, y, z = along.unbind(-1)
+    factors = torch.where(corners.bool(), part[:, None], 1 - part[:, None])  # (K, 8, 3)
+    x, y, z = factors.unbind(-1)
     slopes = torch.stack([y * z, x * z, x * y], -1) * (2.0 * corners - 1) / volume.grid.voxel_size_m
     samples = volume.samples(rows[kept])
     grey = samples.colors.mean(-1)
     sdf, gradient = _interpolated(samples.sdf, weights, slopes)
-    return Seen(kept, sdf, gradient, (samples.sigma * weights).sum(-1), *_interpolated(grey, weights, slopes))
+    return TsdfQuery(kept, sdf, gradient, (samples.sigma * weights).sum(-1), *_interpolated(grey, weights, slopes))
 
 
 def _interpolated(values: Tensor, weights: Tensor, slopes: Tensor) -> tuple[Tensor, Tensor]:
@@ -63,10 +73,10 @@ def _interpolated(values: Tensor, weights: Tensor, slopes: Tensor) -> tuple[Tens
 
 
 @njit(nogil=True, cache=True)
-def _look(
-    points, rotation, shift, sums, color_sums, volume, origin, voxel, shared_error, least_sigma, found, kept
+def _query_loop(
+    points, rotation, shift, sums, color_sums, volume, origin, voxel, error_correlation, min_sigma, values, kept
 ):  # fmt: skip
-    """Fills `found` (N, _COLUMNS) and `kept` (N,); returns how many points are known."""
+    """Fills `values` (N, _COLUMNS) and `kept` (N,); returns how many points are inside the map."""
     count, rows, place = 0, np.empty(8, np.int64), np.empty(3)
     for point in range(len(points)):
         for axis in range(3):
@@ -76,7 +86,7 @@ def _look(
         if not _corners(place, voxel, sums, volume, origin, rows):
             continue
         kept[count] = point
-        _blend(place, voxel, rows, sums, color_sums, shared_error, least_sigma, found[count])
+        _blend(place, voxel, rows, sums, color_sums, error_correlation, min_sigma, values[count])
         count += 1
     return count
 
@@ -96,7 +106,7 @@ def _corners(place, voxel, sums, volume, origin, rows):
 
 
 @njit(nogil=True, cache=True, inline="always")
-def _blend(part, voxel, rows, sums, color_sums, shared_error, least_sigma, result):
+def _blend(part, voxel, rows, sums, color_sums, error_correlation, min_sigma, result):
     result[:] = 0
     for corner in range(8):
         row = rows[corner]
@@ -106,7 +116,7 @@ def _blend(part, voxel, rows, sums, color_sums, shared_error, least_sigma, resul
         weight = max(sums[row, 0], 1e-12)
         sdf = sums[row, 1] / weight
         spread = max(sums[row, 2] / weight - sdf * sdf, 0.0)
-        sigma = np.sqrt(spread * (shared_error + (1 - shared_error) / max(sums[row, 3], 1.0)))
+        sigma = np.sqrt(spread * (error_correlation + (1 - error_correlation) / max(sums[row, 3], 1.0)))
         seen = color_sums[row, 0]
         shade = color_sums[row, 1] + color_sums[row, 2] + color_sums[row, 3]
         grey = shade / (3 * 255.0 * seen) if seen > 0 else 0.5
@@ -117,7 +127,7 @@ def _blend(part, voxel, rows, sums, color_sums, shared_error, least_sigma, resul
         result[1] += a * sdf
         result[2] += b * sdf
         result[3] += c * sdf
-        result[4] += x * y * z * max(sigma, least_sigma)
+        result[4] += x * y * z * max(sigma, min_sigma)
         result[5] += x * y * z * grey
         result[6] += a * grey
         result[7] += b * grey
