@@ -20,7 +20,7 @@ from uncle.recon.evaluation.bench.process import Record, new_run, sensor_options
 from uncle.recon.evaluation.bench.scores import surface_scores
 from uncle.recon.evaluation.bench.tables import cell, markdown_table
 from uncle.recon.run.directory import RunDirectory
-from uncle.recon.stages.preprocess import preprocess
+from uncle.recon.stages.preprocess import preprocess_run
 
 FAULTS = ("none", "zero", "frozen", "shifted")
 SHIFT_M = 0.2
@@ -87,7 +87,7 @@ def execute(job: Job, dataset: Path, out: Path) -> Record:
     recording = open_dataset(dataset)
     sensors = [*job.sensors.split("+"), *(["gt"] if "gt" in recording.sensors else [])]
     faulty = FaultyRecording(recording, job.sensor, job.fault, job.start) if job.fault != "none" else recording
-    preprocess(faulty, RunDirectory(base), dataset=dataset, dataset_format=recording.format, sensors=sensors)
+    preprocess_run(faulty, RunDirectory(base), dataset=dataset, dataset_format=recording.format, sensors=sensors)
     new_run(base, run)
     uncle("map", "--run", run, *sensor_options(job.sensors), *METHODS[job.method], "--seed", job.seed, "--overwrite")
     uncle("mesh", "--run", run, "--overwrite")

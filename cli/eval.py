@@ -11,13 +11,8 @@ from .console import listener, print_json, print_table
 from .options import json_option, run_option, seed_option
 
 if TYPE_CHECKING:
-    from ..recon.evaluation.color_metrics import HeldOutColor
-    from ..recon.evaluation.depth_metrics import HeldOutDepth
-    from ..recon.evaluation.run_metrics import EvalSettings, RunMetrics, SurfaceMetrics
-    from ..recon.evaluation.trajectory_pair import CameraPath
-
-HEADER = ("Metric", "Value", "Unit")
-Rows = list[tuple[str, str, str]]
+    from ..recon.stages.evaluate import EvaluationSettings
+    from ..recon.visualization.run_tables import TextTable
 
 
 @click.command()
@@ -26,7 +21,7 @@ Rows = list[tuple[str, str, str]]
 @run_option
 @click.option(
     "--threshold", "thresholds", type=click.FloatRange(0, min_open=True), multiple=True, default=(0.05, 0.02),
-    show_default=True, metavar="METRES", help="Distance that counts as right; may be given several times.",
+    show_default=True, metavar="METRES", help="Distance below which a point counts as correct; repeatable.",
 )  # fmt: skip
 @click.option(
     "--samples", type=click.IntRange(1), default=250_000, show_default=True,
@@ -35,17 +30,19 @@ Rows = list[tuple[str, str, str]]
 @seed_option
 @click.option(
     "--protocol", type=click.Choice(["standard", "paper"]), default="standard", show_default=True,
-    help="`paper`: vertices against sampled clouds after ICP, and 1000 views of 500x500, as published scripts do.",
+    help="`paper`: vertices against sampled clouds after ICP, and 1000 views of 500x500.",
 )  # fmt: skip
 @click.option(
     "--completeness-to", type=click.Choice(["samples", "surface"]), default="samples", show_default=True,
-    help="What recall is measured to: the samples of the mesh (usual; depends on --samples) or its surface.",
+    help="Recall is measured to the samples of the mesh (usual, depends on --samples) or to its surface.",
 )  # fmt: skip
-@click.option("--icp/--no-icp", default=None, help="Align the mesh first. [default: only with --protocol paper]")
+@click.option(
+    "--icp/--no-icp", default=None, help="Align the mesh by ICP first.  [default: only with --protocol paper]"
+)
 @click.option("--cull", metavar="RUN", type=click.Path(path_type=Path), help="Score only what the cameras of RUN saw.")
 @click.option(
     "--views", type=click.IntRange(0), metavar="N",
-    help="New views for the depth error, 0 for none. [default: 100, paper 1000]",
+    help="Number of new views for the depth error, 0 for none.  [default: 100; paper: 1000]",
 )  # fmt: skip
 @click.option(
     "--error-mesh", metavar="FILE.ply", type=click.Path(path_type=Path, dir_okay=False),
@@ -53,7 +50,7 @@ Rows = list[tuple[str, str, str]]
 )  # fmt: skip
 @click.option(
     "--plot", metavar="FOLDER", type=click.Path(path_type=Path, file_okay=False),
-    help="Where to write trajectory.png and drift.png. [default: RUN/snapshots; none for two files]",
+    help="Folder for trajectory.png and drift.png.  [default: RUN/snapshots; two files: not drawn]",
 )  # fmt: skip
 @json_option
 @click.pass_context
@@ -68,207 +65,111 @@ def command(
     as_json: bool,
     **options: Any,
 ) -> None:
-    """Score MESH against the ground-truth mesh GT, or without them everything that a run holds.
+    """Score MESH against the ground-truth mesh GT, TRAJECTORY against the true trajectory GT, or a whole run.
 
-    TRAJECTORY and GT may also be two files of TUM text (.txt). A run is scored on its mesh (only what the cameras
-    saw), its trajectory and what the tracker says of it, depth and colour of frames held out of the map, and its
-    uncertainty, each where the data set has the truth; the figures also go to RUN/metrics.json.
+    Trajectories are text files (.txt) in the TUM format. Without arguments the run is scored: its mesh (only what the
+    cameras saw), its trajectory and the sigmas of the tracker, depth and colour of frames held out of the map, and its
+    uncertainty, as far as the data set has the ground truth. The scores are also written to RUN/metrics.json.
+    docs/evaluation.md defines them.
+
+    \b
+    uncle eval
+    uncle eval mesh.ply truth.ply --cull run
+    uncle eval trajectory.txt truth.txt --plot plots
     """
-    if mesh is not None and gt is None:
-        raise click.UsageError("give both MESH and GT, or neither to score the run")
-    if mesh is None and cull is not None:
-        raise click.UsageError("--cull goes with MESH and GT; a run is always culled by its own cameras")
+    _check_arguments(mesh, gt, cull, error_mesh, plot)
     if mesh is not None and gt is not None and _are_trajectories(mesh, gt):
-        if cull is not None or error_mesh is not None:
-            raise click.UsageError("--cull and --error-mesh go with meshes, not with trajectories")
         _evaluate_trajectory(ctx, mesh, gt, plot, as_json)
         return
-    if mesh is not None and plot is not None:
-        raise click.UsageError("--plot goes with trajectories or a run; for pictures of a mesh see `uncle snapshot`")
-    from ..recon.evaluation.run_metrics import EvalSettings
+    from ..recon.stages.evaluate import EvaluationSettings
 
     thresholds = tuple(dict.fromkeys(options.pop("thresholds")))
-    settings = EvalSettings(thresholds_m=thresholds, **options)
+    settings = EvaluationSettings(thresholds_m=thresholds, **options)
     if mesh is not None and gt is not None:
         _evaluate_mesh(mesh, gt, settings, cull, error_mesh, as_json)
     else:
         _evaluate_run(ctx, run_path, settings, error_mesh, plot, as_json)
 
 
+def _check_arguments(
+    mesh: Path | None, gt: Path | None, cull: Path | None, error_mesh: Path | None, plot: Path | None
+) -> None:
+    """Raises UsageError for options that do not go together."""
+    if mesh is None:
+        if cull is not None:
+            raise click.UsageError("--cull needs MESH and GT; a run is always culled by its own cameras")
+        return
+    if gt is None:
+        raise click.UsageError("give both MESH and GT, or neither to score the run")
+    if _are_trajectories(mesh, gt):
+        if cull is not None or error_mesh is not None:
+            raise click.UsageError("--cull and --error-mesh are for meshes, not for trajectories")
+    elif plot is not None:
+        raise click.UsageError("--plot is for trajectories or a run; for pictures of a mesh use `uncle snapshot`")
+
+
 def _are_trajectories(first: Path, second: Path) -> bool:
-    texts = [path.suffix.lower() == ".txt" for path in (first, second)]
-    if any(texts) and not all(texts):
-        raise click.UsageError("a trajectory (.txt) is scored against a trajectory (.txt), a mesh against a mesh")
-    return all(texts)
+    is_text = [path.suffix.lower() == ".txt" for path in (first, second)]
+    if any(is_text) and not all(is_text):
+        raise click.UsageError(f"cannot score {first} against {second}: give two trajectories (.txt) or two meshes")
+    return all(is_text)
 
 
 def _evaluate_trajectory(ctx: click.Context, estimate: Path, reference: Path, plot: Path | None, as_json: bool) -> None:
     from ..recon.core.json_values import to_plain
-    from ..recon.evaluation.trajectory_metrics import evaluate_trajectory
-    from ..recon.evaluation.trajectory_pair import CameraPath
-    from ..recon.visualization.trajectory_table import trajectory_rows
+    from ..recon.stages.evaluate import evaluate_trajectory_file
+    from ..recon.visualization.run_tables import trajectory_table
 
-    path = CameraPath.of_files(estimate, reference)
-    metrics = evaluate_trajectory(path.estimate, path.reference)
-    if plot is not None:
-        _plot(ctx, path, plot)
+    metrics = evaluate_trajectory_file(estimate, reference, plots=plot, on_event=listener(ctx))
     if as_json:
         plain = to_plain(metrics)
         print_json({"estimate_path": str(estimate), "reference_path": str(reference), "trajectory": plain})
-        return
-    print_table(f"{estimate.name} against {reference.name}", HEADER, trajectory_rows(metrics))
-
-
-def _plot(ctx: click.Context, path: CameraPath, folder: Path) -> None:
-    from ..recon.core.events import Note
-    from ..recon.visualization.trajectory_charts import draw_camera_path
-
-    drawn = draw_camera_path(path, folder)
-    listener(ctx)(Note(f"drawn: {', '.join(map(str, drawn))}"))
+    else:
+        _print_table(trajectory_table(f"{estimate.name} against {reference.name}", metrics))
 
 
 def _evaluate_mesh(
-    mesh_path: Path, gt_path: Path, settings: EvalSettings, cull: Path | None, error_mesh: Path | None, as_json: bool
+    mesh: Path, gt: Path, settings: EvaluationSettings, cull: Path | None, error_mesh: Path | None, as_json: bool
 ) -> None:
     from ..recon.core.json_values import to_plain
-    from ..recon.core.mesh import Mesh
-    from ..recon.evaluation.run_metrics import score_surface, write_error_mesh
-    from ..recon.evaluation.visibility import Visibility
     from ..recon.run.directory import RunDirectory
+    from ..recon.stages.evaluate import evaluate_mesh_file
+    from ..recon.visualization.run_tables import remarks, surface_table
 
-    mesh, reference = Mesh.load(mesh_path), Mesh.load(gt_path)
-    visibility = Visibility.of_run(RunDirectory(cull)) if cull is not None else None
-    metrics = score_surface(mesh, reference, settings, visibility)
-    if error_mesh is not None:
-        write_error_mesh(error_mesh, mesh, reference, metrics.mesh)
+    run = RunDirectory(cull) if cull is not None else None
+    metrics = evaluate_mesh_file(mesh, gt, settings, cull=run, error_mesh=error_mesh)
     if as_json:
-        print_json(
-            {"mesh_path": str(mesh_path), "gt_path": str(gt_path), "cull": cull and str(cull), **to_plain(metrics)}
-        )
+        paths = {"mesh_path": str(mesh), "gt_path": str(gt), "cull": str(cull) if cull is not None else None}
+        print_json(paths | to_plain(metrics))
         return
-    print_table(f"{mesh_path.name} against {gt_path.name}", HEADER, surface_rows(metrics))
-    click.echo(f"settings: {_describe(metrics)}")
-    _print_remarks(metrics.skipped, (metrics.mesh.note,) if metrics.mesh.note else ())
+    _print_table(surface_table(f"{mesh.name} against {gt.name}", metrics))
+    for line in remarks(metrics.skipped, (metrics.mesh.note,) if metrics.mesh.note else ()):
+        click.echo(line)
 
 
 def _evaluate_run(
-    ctx: click.Context,
-    run_path: Path,
-    settings: EvalSettings,
-    error_mesh: Path | None,
-    plot: Path | None,
+    ctx: click.Context, run_path: Path, settings: EvaluationSettings, error_mesh: Path | None, plot: Path | None,
     as_json: bool,
-) -> None:
-    from ..recon.core.errors import DataError
-    from ..recon.core.events import Warn
+) -> None:  # fmt: skip
     from ..recon.core.json_values import to_plain
-    from ..recon.core.mesh import Mesh
-    from ..recon.evaluation.run_metrics import evaluate_run, load_reference, write_error_mesh
-    from ..recon.evaluation.trajectory_pair import CameraPath
     from ..recon.run.directory import RunDirectory
+    from ..recon.stages.evaluate import evaluate_run
+    from ..recon.visualization.run_tables import remarks, run_tables
 
-    run = RunDirectory(run_path)
-    metrics = evaluate_run(run, settings, listener(ctx))
-    metrics.save(run.metrics_path)
-    if error_mesh is not None:
-        reference = load_reference(run.manifest)
-        write_error_mesh(error_mesh, Mesh.load(run.mesh_path), reference, metrics.surface and metrics.surface.mesh)
-    if metrics.trajectory is not None or metrics.tracking is not None:
-        try:
-            _plot(ctx, CameraPath.of_run(run), plot or run.snapshots_path)
-        except DataError as error:
-            listener(ctx)(Warn(f"the camera is not drawn: {error}"))
+    summary = evaluate_run(RunDirectory(run_path), settings, error_mesh=error_mesh, plots=plot, on_event=listener(ctx))
+    metrics = summary.metrics
     if as_json:
         print_json(to_plain(metrics))
         return
-    _print_run(metrics)
+    for table in run_tables(metrics):
+        _print_table(table)
+    for line in remarks(metrics.skipped, metrics.notes):
+        click.echo(line)
 
 
-def _print_run(metrics: RunMetrics) -> None:
-    from ..recon.evaluation.tracking_metrics import describe_lost
-    from ..recon.visualization.trajectory_table import tracking_rows, trajectory_rows
-    from ..recon.visualization.uncertainty_table import uncertainty_rows
+def _print_table(table: TextTable) -> None:
+    from ..recon.visualization.run_tables import HEADER
 
-    if metrics.surface is not None:
-        print_table("Surface", HEADER, surface_rows(metrics.surface))
-        click.echo(f"settings: {_describe(metrics.surface)}")
-    if metrics.trajectory is not None:
-        print_table("Trajectory", HEADER, trajectory_rows(metrics.trajectory))
-    if metrics.tracking is not None:
-        print_table("Tracking", HEADER, tracking_rows(metrics.tracking))
-        click.echo(describe_lost(metrics.tracking))
-    if metrics.held_out:
-        rows = [row for held_out in metrics.held_out.values() for row in held_out_rows(held_out)]
-        print_table("Depth of held-out frames", HEADER, rows)
-    if metrics.held_out_color is not None:
-        print_table("Colour of held-out frames", HEADER, color_rows(metrics.held_out_color))
-    for sensor, uncertainty in metrics.uncertainty.items():
-        print_table(f"Uncertainty of {sensor}", HEADER, uncertainty_rows(uncertainty))
-    _print_remarks(metrics.skipped, metrics.notes)
-
-
-def _print_remarks(skipped: dict[str, str], notes: tuple[str, ...]) -> None:
-    for note in notes:
-        click.echo(f"note: {note}")
-    for part, reason in skipped.items():
-        click.echo(f"not scored: {part.replace('_', ' ')}: {reason}")
-
-
-def surface_rows(metrics: SurfaceMetrics) -> Rows:
-    """Rows in % and cm."""
-    from ..recon.visualization.uncertainty_table import vertex_sigma_rows
-
-    mesh, rows = metrics.mesh, []
-    for score in mesh.scores:
-        at = f"at {score.threshold_m * 100:g} cm"
-        rows += [
-            (f"F-score {at}", _percent(score.f_score), "%"),
-            (f"precision {at}", _percent(score.precision), "%"),
-            (f"recall {at}", _percent(score.recall), "%"),
-        ]
-    rows += [
-        ("accuracy, mean / median", f"{_cm(mesh.accuracy_mean_m)} / {_cm(mesh.accuracy_median_m)}", "cm"),
-        ("completeness, mean / median", f"{_cm(mesh.completeness_mean_m)} / {_cm(mesh.completeness_median_m)}", "cm"),
-    ]
-    if metrics.novel_views is not None:
-        depth = metrics.novel_views
-        rows += [
-            (f"depth L1, {depth.views} new views", _cm(depth.l1_all_m), "cm"),
-            ("depth L1 where the mesh is", _cm(depth.l1_rendered_m), "cm"),
-            ("share of pixels where the mesh is", _percent(depth.completeness), "%"),
-        ]
-    return rows + (vertex_sigma_rows(metrics.vertex_sigma) if metrics.vertex_sigma is not None else [])
-
-
-def _describe(metrics: SurfaceMetrics) -> str:
-    settings = metrics.mesh.settings
-    parts = [settings.protocol, f"seed {settings.seed}", "ICP" if settings.icp else "no ICP"]
-    parts += ["vertices" if settings.samples is None else f"{settings.samples} samples"]
-    parts += [f"recall to {settings.completeness_to}", "seen parts only" if settings.culled else "whole meshes"]
-    return ", ".join(parts)
-
-
-def held_out_rows(metrics: HeldOutDepth) -> Rows:
-    """Rows in cm and %."""
-    return [
-        (f"L1 to {metrics.sensor}, mean / median", f"{_cm(metrics.l1_m)} / {_cm(metrics.median_m)}", "cm"),
-        ("share of readings where the mesh is", _percent(metrics.completeness), "%"),
-        ("frames", str(metrics.frames), ""),
-    ]
-
-
-def color_rows(metrics: HeldOutColor) -> Rows:
-    """Rows in dB and %."""
-    return [
-        ("PSNR", "-" if metrics.psnr_db is None else f"{metrics.psnr_db:.2f}", "dB"),
-        ("L1", "-" if metrics.l1 is None else _percent(metrics.l1), "% of full scale"),
-        ("share of pixels where the mesh is", _percent(metrics.completeness), "%"),
-    ]
-
-
-def _cm(metres: float | None) -> str:
-    return "-" if metres is None else f"{metres * 100:.2f}"
-
-
-def _percent(ratio: float) -> str:
-    return f"{ratio * 100:.2f}"
+    print_table(table.title, HEADER, table.rows)
+    if table.footnote:
+        click.echo(table.footnote)

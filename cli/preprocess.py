@@ -1,4 +1,4 @@
-"""`uncle preprocess`: a recording becomes a run directory."""
+"""`uncle preprocess`: convert a recording into a run directory."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from .options import FrameRange, SensorsCommand, overwrite_option, run_option, s
 
 def _format_help() -> str:
     readers = "; ".join(f"{spec.name}: {spec.summary}" for spec in reader_specs().values())
-    return f"Layout of the data set; recognised if not given. {readers}."
+    return f"Format of the data set; detected if not given. {readers}."
 
 
 @click.command(cls=SensorsCommand)
@@ -42,11 +42,11 @@ def command(
     """
     from ..recon.core.events import Note
     from ..recon.run.directory import RunDirectory
-    from ..recon.stages.preprocess import preprocess
+    from ..recon.stages.preprocess import preprocess_run
 
     on_event = listener(ctx)
     recording = open_dataset(dataset, format_name, on_event)
-    summary = preprocess(
+    summary = preprocess_run(
         recording,
         RunDirectory(run_path),
         dataset=dataset,

@@ -14,15 +14,15 @@ from .options import run_option
 @run_option
 @click.option(
     "--renderer", type=click.Choice(["auto", "offscreen", "raycast"]), default="auto", show_default=True,
-    help="Who draws the mesh: Open3D's OffscreenRenderer or the CPU ray caster.",
+    help="Draw the mesh with Open3D's OffscreenRenderer (needs a driver) or the CPU ray caster.",
 )  # fmt: skip
 @click.pass_context
 def command(ctx: click.Context, run_path: Path, renderer: str) -> None:
     """Write RUN/report.html: pictures, metrics, sensor noise, curves, timings and configuration on one page.
 
-    The page carries everything it shows; what the run does not hold is left out, with the command that makes it.
+    The page needs no other file. For what the run does not hold yet, it names the command that makes it.
     """
     from ..recon.run.directory import RunDirectory
-    from ..recon.stages.report import write_report
+    from ..recon.stages.report import report_run
 
-    click.echo(str(write_report(RunDirectory(run_path), renderer, listener(ctx))))
+    click.echo(str(report_run(RunDirectory(run_path), renderer, listener(ctx))))

@@ -59,25 +59,20 @@ def command(
 ) -> None:
     """Draw pictures of a mesh, or of a run and its sensors.
 
-    Without MESH, or with a run directory in its place, the mesh of the run is drawn from the run's cameras, and each
-    sensor's depth and beta maps beside it. The path of every sheet is printed.
+    Without MESH, or with a run directory in its place, the mesh of the run is drawn from the run's cameras, and also
+    the depth and beta maps of each sensor. The path of every picture is printed.
     """
     from ..recon.run.directory import RunDirectory
-    from ..recon.stages.snapshot import snapshot_file, snapshot_run
+    from ..recon.stages.snapshot import SnapshotSettings, snapshot_file, snapshot_run
 
-    on_event = listener(ctx)
+    settings, on_event = SnapshotSettings(modes or None, size, renderer), listener(ctx)
     run_is_given = ctx.get_parameter_source("run_path") is click.core.ParameterSource.COMMANDLINE
     if mesh is None or mesh.is_dir():
         run = RunDirectory(mesh or run_path)
-        sheets = snapshot_run(
-            run, out or run.snapshots_path, reference, modes=modes or None, size=size, renderer=renderer,
-            on_event=on_event,
-        )  # fmt: skip
+        sheets = snapshot_run(run, out or run.snapshots_path, reference, settings=settings, on_event=on_event)
     else:
         folder = out or mesh.with_name(f"{mesh.stem}_snapshots")
-        cameras_of = RunDirectory(run_path) if run_is_given else None
-        sheets = snapshot_file(
-            mesh, folder, cameras_of, reference, modes=modes or None, size=size, renderer=renderer, on_event=on_event
-        )
+        cameras = RunDirectory(run_path) if run_is_given else None
+        sheets = snapshot_file(mesh, folder, cameras, reference, settings=settings, on_event=on_event)
     for sheet in sheets:
         click.echo(str(sheet))

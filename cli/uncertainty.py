@@ -1,4 +1,4 @@
-"""`uncle uncertainty`: how far each sensor of a run can be trusted, as figures and pictures."""
+"""`uncle uncertainty`: the error scale of each sensor of a map, as numbers and pictures."""
 
 from __future__ import annotations
 
@@ -22,11 +22,11 @@ from .options import json_option, run_option
 def command(
     ctx: click.Context, run_path: Path, sensors: tuple[str, ...], frame: int | None, out: Path | None, as_json: bool
 ) -> None:
-    """Show how far each sensor of a map can be trusted.
+    """Show the error scale (beta) that a map learned for each sensor.
 
-    Beta is the mean error that a reading promises. Printed are each sensor's share in the map, its typical betas and,
-    where the data set has the true depth, whether they are kept; drawn are depth, beta and true error side by side, the
-    noise against depth and slant, and the calibration. docs/uncertainty.md explains the figures.
+    Beta is the expected absolute error of a measurement. Printed are the weight share of each sensor, its typical betas
+    and, where the data set has the true depth, how well they are calibrated. Drawn are depth, beta and true error side
+    by side, the noise against depth and incidence angle, and the calibration. docs/uncertainty.md explains the numbers.
 
     \b
     uncle uncertainty
@@ -38,12 +38,13 @@ def command(
     from ..recon.stages.uncertainty import uncertainty_run
     from ..recon.visualization.uncertainty_table import summary_table
 
-    run, say = RunDirectory(run_path), listener(ctx)
-    found = uncertainty_run(run, out or run.snapshots_path, sensors, frame, on_event=say)
-    say(Note(f"drawn: {', '.join(found.pictures)}"))
+    run, on_event = RunDirectory(run_path), listener(ctx)
+    summary = uncertainty_run(run, out or run.snapshots_path, sensors, frame, on_event=on_event)
+    on_event(Note(f"drawn: {', '.join(summary.pictures)}"))
     if as_json:
-        print_json(to_plain(found))
+        plain = to_plain(summary)
+        print_json({key: plain[key] for key in ("run", "sensors", "skipped", "pictures")})
         return
-    print_table("Uncertainty", *summary_table(found.sensors))
-    for sensor, reason in found.skipped.items():
+    print_table("Uncertainty", *summary_table(summary.sensors))
+    for sensor, reason in summary.skipped.items():
         click.echo(f"left out: {sensor}: {reason}")

@@ -57,6 +57,14 @@ class Surface:
         weights = np.stack([1 - uv[..., 0] - uv[..., 1], uv[..., 0], uv[..., 1]], axis=-1)
         return np.where(hit, answer["primitive_ids"].numpy().astype(np.int64), -1), weights
 
+    def hit_normals(self, origins: np.ndarray, directions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """(R, 3) or (3,) origins and (R, 3) directions -> (R,) bool whether a ray hits, and the (R, 3) unit normal of
+        the first triangle that it hits (by the order of its corners)."""
+        if self._is_empty:
+            return np.zeros(len(directions), dtype=bool), np.zeros_like(directions)
+        answer = self._first_hits(origins, directions)
+        return np.isfinite(answer["t_hit"].numpy()), answer["primitive_normals"].numpy()
+
     def depth(self, camera: Camera, T_world_camera: np.ndarray) -> np.ndarray:
         """(H, W) float32 z-depth in metres seen from `T_world_camera` (4, 4), 0 where no surface is."""
         directions = camera.rays().numpy() @ T_world_camera[:3, :3].T

@@ -22,6 +22,12 @@ class Trajectory:
     def __len__(self) -> int:
         return len(self.timestamps)
 
+    def finite(self) -> Trajectory:
+        """The poses that are finite and have a finite time stamp, in order of time."""
+        finite = np.isfinite(self.T_world_camera).all(axis=(1, 2)) & np.isfinite(self.timestamps)
+        order = np.flatnonzero(finite)[np.argsort(self.timestamps[finite], kind="stable")]
+        return Trajectory(self.timestamps[order], self.T_world_camera[order])
+
     def save(self, path: Path) -> None:
         """Write TUM text that `evo_ape tum` reads. Raises RunError."""
         quaternions = Rotation.from_matrix(self.T_world_camera[:, :3, :3]).as_quat()

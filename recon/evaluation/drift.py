@@ -1,4 +1,4 @@
-"""How the error of a trajectory grows with the way and the time."""
+"""How the error of a trajectory grows with the length of the path and with time."""
 
 from __future__ import annotations
 
@@ -6,18 +6,20 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ..core.se3 import rotation_angle
+
 SEGMENT_M = 1.0
 
 
 @dataclass(frozen=True)
 class Drift:
     """path_m                      length of the true path through the matched poses
-    growth_ratio                slope of the line through the unaligned position errors over the way travelled
+    growth_ratio                slope of the line fitted to the unaligned position errors over the path length
     growth_m_per_s              the same over time; None without a clock
-    segments                    starts from which the true path goes on for `segment_m` or more
-    segment_translation_ratio   mean over the segments: translation error of the motion over the length of the way
-                                (Geiger et al. 2012); None if the path is shorter than a segment, as the next
-    segment_rotation_rad_per_m  the same of the rotation
+    segment_m, segments         length of a segment of the path, and number of poses at which one starts
+    segment_translation_ratio   mean over the segments of translation error / path length (Geiger et al. 2012); None if
+                                the path is shorter than a segment
+    segment_rotation_rad_per_m  the same for the rotation
     """
 
     path_m: float
@@ -30,24 +32,27 @@ class Drift:
 
 
 def measure_drift(
-    found: np.ndarray, true: np.ndarray, timestamps: np.ndarray | None, segment_m: float = SEGMENT_M
+    estimate: np.ndarray, true: np.ndarray, timestamps: np.ndarray | None, segment_m: float = SEGMENT_M
 ) -> Drift | None:
-    """Drift of `found` against `true` (N, 4, 4), at times (N,) s where there is a clock; None if nothing moves."""
-    way = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(true[:, :3, 3], axis=0), axis=1))])
-    if way[-1] <= 0:
+    """Drift of the poses `estimate` against `true` (N, 4, 4), taken at `timestamps` (N,) s, None without a clock.
+
+    None if the true camera does not move.
+    """
+    path = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(true[:, :3, 3], axis=0), axis=1))])
+    if path[-1] <= 0:
         return None
-    errors = np.linalg.norm(found[:, :3, 3] - true[:, :3, 3], axis=1)
-    ends = np.searchsorted(way, way + segment_m - 1e-9)
-    starts = np.flatnonzero(ends < len(way))
+    errors = np.linalg.norm(estimate[:, :3, 3] - true[:, :3, 3], axis=1)
+    ends = np.searchsorted(path, path + segment_m - 1e-9)
+    starts = np.flatnonzero(ends < len(path))
     ends = ends[starts]
     per_metre = None
     if len(starts):
-        translation, rotation = motion_errors(found, true, starts, ends)
-        lengths = way[ends] - way[starts]
+        translation, rotation = motion_errors(estimate, true, starts, ends)
+        lengths = path[ends] - path[starts]
         per_metre = float((translation / lengths).mean()), float((rotation / lengths).mean())
     return Drift(
-        path_m=float(way[-1]),
-        growth_ratio=_slope(way, errors),
+        path_m=float(path[-1]),
+        growth_ratio=_slope(path, errors),
         growth_m_per_s=None if timestamps is None else _slope(timestamps - timestamps[0], errors),
         segment_m=segment_m,
         segments=len(starts),
@@ -57,23 +62,19 @@ def measure_drift(
 
 
 def motion_errors(
-    found: np.ndarray, true: np.ndarray, starts: np.ndarray, ends: np.ndarray
+    estimate: np.ndarray, true: np.ndarray, starts: np.ndarray, ends: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Translation errors in metres and rotation errors in radians, (M,) each, of motions between poses (N, 4, 4)."""
-    motions = [np.linalg.inv(T[starts]) @ T[ends] for T in (found, true)]
+    """Errors of the motions from poses `starts` (M,) to poses `ends` (M,): metres (M,) and radians (M,).
+
+    `estimate` and `true` are (N, 4, 4).
+    """
+    motions = [np.linalg.inv(T[starts]) @ T[ends] for T in (estimate, true)]
     error = np.linalg.inv(motions[1]) @ motions[0]
-    return np.linalg.norm(error[:, :3, 3], axis=1), rotation_angles(error[:, :3, :3])
-
-
-def rotation_angles(rotations: np.ndarray) -> np.ndarray:
-    """(N, 3, 3) -> (N,) radians from 0 to pi; exact for small angles, too."""
-    differences = rotations - rotations.transpose(0, 2, 1)
-    sine = 0.5 * np.linalg.norm(differences[:, [2, 0, 1], [1, 2, 0]], axis=1)
-    return np.arctan2(sine, 0.5 * (np.trace(rotations, axis1=1, axis2=2) - 1.0))
+    return np.linalg.norm(error[:, :3, 3], axis=1), rotation_angle(error)
 
 
 def _slope(x: np.ndarray, y: np.ndarray) -> float | None:
-    """Of the line with least squared error through the points; None if x is constant."""
+    """Slope of the least-squares line through the points; None if x is constant."""
     centred = x - x.mean()
     spread = centred @ centred
     return float(centred @ y / spread) if spread > 0 else None

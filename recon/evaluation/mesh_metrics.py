@@ -1,4 +1,7 @@
-"""Scores of a mesh against a reference surface: precision, recall, F-score (Knapitsch et al. 2017), mean distances."""
+"""Scores of a mesh against a reference surface: precision, recall, F-score (Knapitsch et al. 2017), mean distances.
+
+The two protocols are described in docs/evaluation.md.
+"""
 
 from __future__ import annotations
 
@@ -13,16 +16,28 @@ from ..core.errors import DataError
 from ..core.mesh import Mesh
 from ..core.mesh_raycaster import Surface, sample_surface
 
-ICP_DISTANCE_M = 0.1  # METHOD, F-score library
-SEEN_DISTANCE_M = 0.03  # a reference point counts as seen this near to a seen one (they lie 1.5 cm apart)
-Protocol = Literal["standard", "paper"]
+ScoringProtocol = Literal["standard", "paper"]
 CompletenessTarget = Literal["samples", "surface"]
 PointFilter = Callable[[np.ndarray], np.ndarray]  # (N, 3) points, metres -> (N,) bool
 
 
 @dataclass(frozen=True)
+class MeshScoringParameters:
+    """icp_distance_m   largest distance between corresponding points in ICP
+    seen_distance_m  a reference vertex counts as seen within this distance of a seen point; those are one in each
+                     1.5 cm voxel
+    """
+
+    icp_distance_m: float = 0.1
+    seen_distance_m: float = 0.03
+
+
+DEFAULT_PARAMETERS = MeshScoringParameters()
+
+
+@dataclass(frozen=True)
 class ThresholdScore:
-    """precision: share of the predicted surface within `threshold_m` of the reference; recall: the reverse; 0..1."""
+    """precision: ratio of the predicted surface within `threshold_m` of the reference; recall: the reverse; 0..1."""
 
     threshold_m: float
     precision: float
@@ -31,13 +46,14 @@ class ThresholdScore:
 
 
 @dataclass(frozen=True)
-class MeshSettings:
-    """How a mesh was scored. `samples` per mesh before culling; None where the protocol takes vertices instead.
+class MeshScoringSettings:
+    """How a mesh was scored.
 
-    completeness_to   what stands for the predicted mesh when distances from the reference are taken
+    completeness_to   what represents the predicted mesh when distances from the reference are measured
+    samples           points drawn on each mesh before culling; None where the protocol uses vertices instead
     """
 
-    protocol: Protocol
+    protocol: ScoringProtocol
     completeness_to: CompletenessTarget
     samples: int | None
     seed: int
@@ -49,7 +65,8 @@ class MeshSettings:
 class MeshMetrics:
     """accuracy: distance predicted -> reference; completeness: reference -> predicted; metres, None if undefined.
 
-    The points are those that were scored, after culling. `T_reference_mesh` (4, 4) is what ICP applied.
+    predicted_points, reference_points   numbers of scored points, after culling
+    T_reference_mesh                     (4, 4) alignment by ICP; the identity without it
     """
 
     scores: tuple[ThresholdScore, ...]
@@ -60,7 +77,7 @@ class MeshMetrics:
     predicted_points: int
     reference_points: int
     T_reference_mesh: tuple[tuple[float, ...], ...]
-    settings: MeshSettings
+    settings: MeshScoringSettings
     note: str | None = None
 
 
@@ -72,35 +89,37 @@ def evaluate_mesh(
     samples: int = 250_000,
     seed: int = 0,
     icp: bool | None = None,
-    protocol: Protocol = "standard",
+    protocol: ScoringProtocol = "standard",
     completeness_to: CompletenessTarget = "samples",
     visible: PointFilter | None = None,
     seen_reference: np.ndarray | None = None,
+    parameters: MeshScoringParameters = DEFAULT_PARAMETERS,
 ) -> MeshMetrics:
     """Score `mesh` against `reference`, both in metres in the same frame.
 
-    standard        area-uniform samples; accuracy is taken to the reference surface, completeness to the samples of
-                    the mesh (the usual definition) or, with `completeness_to="surface"`, to its surface; ICP off
-    paper           vertices against a sampled cloud of the other mesh; ICP on (`paper_distances`)
-    icp             overrides the protocol's habit
+    protocol        "standard": area-uniform samples; accuracy is measured to the reference surface; no ICP.
+                    "paper": vertices against a sampled cloud of the other mesh; with ICP (`paper_distances`)
+    icp             overrides the default of the protocol
+    completeness_to "samples": completeness is measured to the samples of the mesh (the usual definition);
+                    "surface": to its triangles; only with the protocol "standard"
     visible         keeps the predicted points that a camera could see; the others are not scored
-    seen_reference  (M, 3) points of the reference that a camera saw; only these are asked for
+    seen_reference  (M, 3) points of the reference that a camera saw; the others are not scored
 
-    An empty mesh (or one with nothing visible) scores 0 and says so in `note`. Raises DataError if the reference is
-    empty or culled away, or a vertex is not finite; ValueError for thresholds or samples that are not positive.
+    An empty mesh, or one without visible points, scores 0 with an explanation in `note`. Raises DataError if no point
+    of the reference is left or a vertex is not finite; ValueError for thresholds or samples that are not positive.
     """
     _check_settings(thresholds_m, samples)
     with_icp = protocol == "paper" if icp is None else icp
-    T = align_by_icp(mesh, reference) if with_icp and len(mesh.faces) else np.eye(4)
-    aligned = moved(mesh, T) if with_icp else mesh
+    T = align_by_icp(mesh, reference, parameters.icp_distance_m) if with_icp and len(mesh.faces) else np.eye(4)
+    aligned = transformed(mesh, T) if with_icp else mesh
     if protocol == "paper":
-        accuracy, completeness = paper_distances(aligned, reference, seed, visible, seen_reference)
-        settings = MeshSettings(protocol, "samples", None, seed, with_icp, visible is not None)
+        accuracy, completeness = paper_distances(aligned, reference, seed, visible, seen_reference, parameters)
+        settings = MeshScoringSettings(protocol, "samples", None, seed, with_icp, visible is not None)
     else:
         accuracy, completeness = standard_distances(
             aligned, reference, samples, seed, completeness_to, visible, seen_reference
         )
-        settings = MeshSettings(protocol, completeness_to, samples, seed, with_icp, visible is not None)
+        settings = MeshScoringSettings(protocol, completeness_to, samples, seed, with_icp, visible is not None)
     if len(completeness) == 0:
         raise DataError("no part of the reference mesh can be scored: it has no area, or the cameras saw none of it")
     return MeshMetrics(
@@ -124,7 +143,7 @@ def standard_distances(
     visible: PointFilter | None = None,
     seen_reference: np.ndarray | None = None,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Distances in metres of area-uniform samples: mesh -> reference surface, reference -> mesh."""
+    """Distances in metres of area-uniform samples: (N,) mesh -> reference surface, (M,) reference -> mesh."""
     predicted = _keep(sample_surface(mesh, samples, np.random.default_rng([seed, 0])), visible)
     if seen_reference is None:
         seen_reference = sample_surface(reference, samples, np.random.default_rng([seed, 1]))
@@ -141,33 +160,34 @@ def paper_distances(
     seed: int,
     visible: PointFilter | None = None,
     seen_reference: np.ndarray | None = None,
+    parameters: MeshScoringParameters = DEFAULT_PARAMETERS,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Distances in metres as the published script takes them (METHOD, F-score library).
+    """Distances in metres as the script behind the published figures measures them (docs/evaluation.md).
 
     Sources are the vertices of both meshes. The targets are clouds: the mesh with fewer vertices is sampled with as
-    many points as the other has vertices, the other gives its vertices.
+    many points as the other has vertices; of the other the vertices are used.
     """
     rng = np.random.default_rng(seed)
-    predicted, wanted = mesh.vertices.astype(np.float64), reference.vertices.astype(np.float64)
-    if len(wanted) < len(predicted):
-        predicted_cloud, wanted_cloud = predicted, sample_surface(reference, len(predicted), rng)
+    predicted, true = mesh.vertices.astype(np.float64), reference.vertices.astype(np.float64)
+    if len(true) < len(predicted):
+        predicted_cloud, true_cloud = predicted, sample_surface(reference, len(predicted), rng)
     else:
-        predicted_cloud, wanted_cloud = sample_surface(mesh, len(wanted), rng), wanted
+        predicted_cloud, true_cloud = sample_surface(mesh, len(true), rng), true
     if seen_reference is not None:
-        wanted = wanted[near_to(seen_reference)(wanted)]
-    return nearest_distance(_keep(predicted, visible), wanted_cloud), nearest_distance(wanted, predicted_cloud)
+        true = true[near_to(seen_reference, parameters.seen_distance_m)(true)]
+    return nearest_distance(_keep(predicted, visible), true_cloud), nearest_distance(true, predicted_cloud)
 
 
 def score_at(threshold_m: float, accuracy: np.ndarray, completeness: np.ndarray) -> ThresholdScore:
-    """Precision, recall and their harmonic mean at one threshold; 0 where there is nothing to count."""
+    """Precision, recall and their harmonic mean at one threshold; 0 where there are no points."""
     precision = float((accuracy < threshold_m).mean()) if len(accuracy) else 0.0
     recall = float((completeness < threshold_m).mean()) if len(completeness) else 0.0
     total = precision + recall
     return ThresholdScore(float(threshold_m), precision, recall, 2 * precision * recall / total if total > 0 else 0.0)
 
 
-def align_by_icp(mesh: Mesh, reference: Mesh, distance_m: float = ICP_DISTANCE_M) -> np.ndarray:
-    """(4, 4) T_reference_mesh by point-to-point ICP on the vertices, from the identity (METHOD, F-score library)."""
+def align_by_icp(mesh: Mesh, reference: Mesh, distance_m: float = DEFAULT_PARAMETERS.icp_distance_m) -> np.ndarray:
+    """(4, 4) T_reference_mesh by point-to-point ICP on the vertices, starting from the identity."""
     import open3d as o3d
 
     clouds = [
@@ -175,23 +195,23 @@ def align_by_icp(mesh: Mesh, reference: Mesh, distance_m: float = ICP_DISTANCE_M
     ]
     registration = o3d.pipelines.registration
     estimation = registration.TransformationEstimationPointToPoint()
-    found = registration.registration_icp(clouds[0], clouds[1], distance_m, np.eye(4), estimation)
-    return np.asarray(found.transformation)
+    result = registration.registration_icp(clouds[0], clouds[1], distance_m, np.eye(4), estimation)
+    return np.asarray(result.transformation)
 
 
-def moved(mesh: Mesh, T_target_mesh: np.ndarray) -> Mesh:
-    """`mesh` with its vertices moved by the rigid (4, 4) `T_target_mesh`."""
+def transformed(mesh: Mesh, T_target_mesh: np.ndarray) -> Mesh:
+    """`mesh` with the rigid (4, 4) `T_target_mesh` applied to its vertices."""
     vertices = mesh.vertices @ T_target_mesh[:3, :3].T + T_target_mesh[:3, 3]
     return replace(mesh, vertices=vertices.astype(np.float32))
 
 
 def color_by_distance(mesh: Mesh, reference: Mesh, limit_m: float, colormap: str = "turbo") -> Mesh:
-    """`mesh` with its vertices coloured by their distance to the reference; `limit_m` and more is the top colour."""
+    """`mesh` with its vertices coloured by their distance to the reference; the colour scale ends at `limit_m`."""
     import matplotlib
 
     distance = Surface(reference).distance(mesh.vertices)
-    share = np.clip(distance / limit_m, 0.0, 1.0)
-    return replace(mesh, colors=np.round(matplotlib.colormaps[colormap](share)[:, :3] * 255).astype(np.uint8))
+    ratio = np.clip(distance / limit_m, 0.0, 1.0)
+    return replace(mesh, colors=np.round(matplotlib.colormaps[colormap](ratio)[:, :3] * 255).astype(np.uint8))
 
 
 def nearest_distance(points: np.ndarray, cloud: np.ndarray) -> np.ndarray:
@@ -199,10 +219,10 @@ def nearest_distance(points: np.ndarray, cloud: np.ndarray) -> np.ndarray:
     return cKDTree(cloud).query(points)[0] if len(cloud) else np.full(len(points), np.inf)
 
 
-def near_to(cloud: np.ndarray) -> PointFilter:
-    """The filter that keeps points within `SEEN_DISTANCE_M` of the (M, 3) `cloud`."""
+def near_to(cloud: np.ndarray, distance_m: float = DEFAULT_PARAMETERS.seen_distance_m) -> PointFilter:
+    """The filter that keeps points within `distance_m` of the (M, 3) `cloud`."""
     tree = cKDTree(cloud)
-    return lambda points: np.isfinite(tree.query(points, distance_upper_bound=SEEN_DISTANCE_M)[0])
+    return lambda points: np.isfinite(tree.query(points, distance_upper_bound=distance_m)[0])
 
 
 def _keep(points: np.ndarray, keep: PointFilter | None) -> np.ndarray:

@@ -1,4 +1,4 @@
-"""How the noise of a sensor grows with distance and slant: as it was learned and, where known, as it is."""
+"""Noise of a sensor against depth and incidence angle: as the map learned it and, where known, as it truly is."""
 
 from __future__ import annotations
 
@@ -10,17 +10,29 @@ from ..core.errors import DataError
 from ..run.frames import RunFrames
 from .sensor_frames import read_sensor_frame, spread_frames
 
-_FRAMES = 12
-_STRIDE = 3  # pixels between the readings that count
-_BINS = 16
-_FEWEST = 50  # readings that a bin needs
+
+@dataclass(frozen=True)
+class NoiseCurveParameters:
+    """frames            number of frames that are sampled, evenly spread
+    stride            pixels between the samples of a frame
+    bins              bins of depth and of incidence angle
+    min_measurements  samples that a bin needs
+    """
+
+    frames: int = 12
+    stride: int = 3
+    bins: int = 16
+    min_measurements: int = 50
+
+
+DEFAULT_PARAMETERS = NoiseCurveParameters()
 
 
 @dataclass(frozen=True)
 class NoiseCurve:
-    """Means over bins of x. beta, error (B,) metres, NaN where a bin has too few readings; error is None if unknown.
+    """Means over bins of x. beta, error (B,) metres, NaN where a bin has too few samples; error is None if unknown.
 
-    A Laplace scale is the mean absolute error that it promises, so the two curves of a calibrated sensor coincide.
+    A Laplace scale beta is the expected absolute error, so the two curves of a calibrated sensor coincide.
     """
 
     x: np.ndarray
@@ -30,15 +42,18 @@ class NoiseCurve:
 
 @dataclass(frozen=True)
 class SensorNoise:
-    """Against depth in metres, and against the incidence angle in degrees."""
+    """Noise against depth in metres, and against the incidence angle in degrees."""
 
     by_depth: NoiseCurve
     by_incidence: NoiseCurve
 
 
 @dataclass(frozen=True)
-class Readings:
-    """Readings of one sensor that have a beta, (N,) each: metres, degrees; NaN where slant or error is unknown."""
+class BetaSamples:
+    """Pixels of one sensor that have a beta, (N,) each: metres and degrees.
+
+    incidence and error are NaN where the normal or the true depth is unknown.
+    """
 
     depth: np.ndarray
     incidence: np.ndarray
@@ -46,42 +61,27 @@ class Readings:
     error: np.ndarray
 
 
-def collect_readings(frames: RunFrames, sensor: str) -> Readings | None:
-    """From a few frames; None where hardly any reading has a beta. Raises DataError."""
-    parts = [_readings(frames, index, sensor) for index in spread_frames(frames, sensor, _FRAMES)]
+def collect_beta_samples(
+    frames: RunFrames, sensor: str, parameters: NoiseCurveParameters = DEFAULT_PARAMETERS
+) -> BetaSamples | None:
+    """Samples of a few frames; None where hardly any pixel has a beta. Raises DataError."""
+    parts = [
+        _frame_samples(frames, index, sensor, parameters.stride)
+        for index in spread_frames(frames, sensor, parameters.frames)
+    ]
     parts = [part for part in parts if part is not None]
-    readings = Readings(*np.concatenate(parts, axis=1)) if parts else None
-    return readings if readings is not None and len(readings.depth) >= _FEWEST else None
+    samples = BetaSamples(*np.concatenate(parts, axis=1)) if parts else None
+    return samples if samples is not None and len(samples.depth) >= parameters.min_measurements else None
 
 
-def sensor_noise(frames: RunFrames, sensor: str) -> SensorNoise | None:
-    """The noise curves of one sensor from a few frames; None where it has no beta maps. Raises DataError."""
-    readings = collect_readings(frames, sensor)
-    return None if readings is None else noise_of(readings)
-
-
-def noise_of(readings: Readings) -> SensorNoise:
+def noise_curves(samples: BetaSamples, parameters: NoiseCurveParameters = DEFAULT_PARAMETERS) -> SensorNoise:
     """The noise curves of a sensor."""
-    depth, beta = readings.depth, readings.beta
-    known = readings.error if np.isfinite(readings.error).any() else None
+    depth, beta = samples.depth, samples.beta
+    error = samples.error if np.isfinite(samples.error).any() else None
     return SensorNoise(
-        _binned(depth, beta, known, 0.0, float(np.percentile(depth, 99.5))),
-        _binned(readings.incidence, beta, known, 0.0, 90.0),
+        _binned(depth, beta, error, float(np.percentile(depth, 99.5)), parameters),
+        _binned(samples.incidence, beta, error, 90.0, parameters),
     )
-
-
-def _readings(frames: RunFrames, index: int, sensor: str) -> np.ndarray | None:
-    """(4, N) depth m, incidence degrees (NaN if unknown), beta m, true error m (NaN if unknown)."""
-    row = read_sensor_frame(frames, index, sensor)
-    if row.beta is None:
-        return None
-    try:
-        incidence = incidence_angle(frames, index, sensor)
-    except DataError:  # the run holds no normals for this sensor
-        incidence = np.full(row.depth.shape, np.nan)
-    error = row.error if row.error is not None else np.full(row.depth.shape, np.nan)
-    columns = np.stack([row.depth, incidence, row.beta, error])[:, ::_STRIDE, ::_STRIDE].reshape(4, -1)
-    return columns[:, np.isfinite(columns[0]) & np.isfinite(columns[2])]
 
 
 def incidence_angle(frames: RunFrames, index: int, sensor: str) -> np.ndarray:
@@ -92,17 +92,36 @@ def incidence_angle(frames: RunFrames, index: int, sensor: str) -> np.ndarray:
     return np.where(normals.any(-1), np.degrees(np.arccos(np.clip(cosine, -1, 1))), np.nan)
 
 
-def _binned(x: np.ndarray, beta: np.ndarray, error: np.ndarray | None, low: float, high: float) -> NoiseCurve:
-    edges = np.linspace(low, max(high, low + 1e-6), _BINS + 1)
-    inside = np.isfinite(x) & (x >= low) & (x < edges[-1])
+def _frame_samples(frames: RunFrames, index: int, sensor: str, stride: int) -> np.ndarray | None:
+    """(4, N) depth m, incidence degrees, beta m, true error m of one frame; None without a beta map."""
+    frame = read_sensor_frame(frames, index, sensor)
+    if frame.beta is None:
+        return None
+    try:
+        incidence = incidence_angle(frames, index, sensor)
+    except DataError:  # the run holds no normals for this sensor
+        incidence = np.full(frame.depth.shape, np.nan)
+    error = frame.error if frame.error is not None else np.full(frame.depth.shape, np.nan)
+    columns = np.stack([frame.depth, incidence, frame.beta, error])[:, ::stride, ::stride].reshape(4, -1)
+    return columns[:, np.isfinite(columns[0]) & np.isfinite(columns[2])]
+
+
+def _binned(
+    x: np.ndarray, beta: np.ndarray, error: np.ndarray | None, high: float, parameters: NoiseCurveParameters
+) -> NoiseCurve:
+    """Means of beta and error in equal bins of x from 0 to `high`."""
+    edges = np.linspace(0.0, max(high, 1e-6), parameters.bins + 1)
+    inside = np.isfinite(x) & (x >= 0.0) & (x < edges[-1])
     bins = np.digitize(x[inside], edges) - 1
     return NoiseCurve(
-        (edges[:-1] + edges[1:]) / 2, _means(bins, beta[inside]), None if error is None else _means(bins, error[inside])
+        (edges[:-1] + edges[1:]) / 2,
+        _bin_means(bins, beta[inside], parameters),
+        None if error is None else _bin_means(bins, error[inside], parameters),
     )
 
 
-def _means(bins: np.ndarray, values: np.ndarray) -> np.ndarray:
+def _bin_means(bins: np.ndarray, values: np.ndarray, parameters: NoiseCurveParameters) -> np.ndarray:
     known = np.isfinite(values)
-    counts = np.bincount(bins[known], minlength=_BINS)
-    sums = np.bincount(bins[known], weights=values[known], minlength=_BINS)
-    return np.where(counts >= _FEWEST, sums / np.maximum(counts, 1), np.nan)
+    counts = np.bincount(bins[known], minlength=parameters.bins)
+    sums = np.bincount(bins[known], weights=values[known], minlength=parameters.bins)
+    return np.where(counts >= parameters.min_measurements, sums / np.maximum(counts, 1), np.nan)

@@ -1,4 +1,4 @@
-"""The scores of the camera of a run: its errors where there is a truth, and what the tracker said of it."""
+"""Scores of the estimated camera of a run: trajectory errors, and consistency of the tracking record."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from .trajectory_pair import CameraPath
 
 
 def score_trajectory(run: RunDirectory) -> TrajectoryMetrics:
-    """Raises DataError if there is no trajectory, or no truth at the same times; RunError without frames."""
+    """Raises DataError if there is no trajectory, or no true pose at the same times; RunError without frames."""
     path = CameraPath.of_run(run, with_record=False)
     if path.reference is None:
         raise DataError("the data set has no ground-truth poses")
@@ -25,23 +25,23 @@ def score_trajectory(run: RunDirectory) -> TrajectoryMetrics:
 
 
 def score_tracking(run: RunDirectory) -> TrackingMetrics | None:
-    """None where nothing was tracked. Raises DataError if the record cannot be read."""
+    """None where the poses were given. Raises DataError if the record cannot be read."""
     if not run.tracking_path.is_file():
         return None
     record = TrackingRecord.load(run.tracking_path)
     try:
         matched = CameraPath.of_run(run, with_record=False).matched
-    except DataError:  # no frame has a pose; the statuses say so
+    except DataError:  # no frame has a pose; the statuses still count
         matched = None
     return evaluate_tracking(record, matched)
 
 
 def completeness(run: RunDirectory, path: CameraPath) -> float:
-    """Share of the frames of the run with a finite pose; those held out of the map count only if they have one."""
-    frames = np.array([record.timestamp for record in RunFrames(run).records])
-    mapped = run.manifest.stages.get("map")
-    held_out = (mapped.facts.get("held_out") if mapped is not None else None) or []
-    posed = rows_at(path.posed.timestamps, frames) >= 0
-    left_out = np.zeros(len(frames), dtype=bool)
-    left_out[[index for index in held_out if 0 <= index < len(frames)]] = True
-    return float(np.count_nonzero(posed) / max(1, np.count_nonzero(posed | ~left_out)))
+    """Ratio of the frames of the run with a finite pose; held-out frames without one are not counted."""
+    times = np.array([record.timestamp for record in RunFrames(run).records])
+    map_record = run.load_manifest().stages.get("map")
+    held_out = (map_record.facts.get("held_out") if map_record is not None else None) or []
+    posed = rows_at(path.posed.timestamps, times) >= 0
+    is_held_out = np.zeros(len(times), dtype=bool)
+    is_held_out[[index for index in held_out if 0 <= index < len(times)]] = True
+    return float(np.count_nonzero(posed) / max(1, np.count_nonzero(posed | ~is_held_out)))

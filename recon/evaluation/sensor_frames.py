@@ -12,7 +12,10 @@ from ..run.frames import RunFrames
 
 @dataclass(frozen=True)
 class SensorFrame:
-    """One sensor in one frame; NaN = no reading. depth, beta, error (H, W) metres; beta and error None if unknown."""
+    """One sensor in one frame: depth, beta, |error| (H, W) metres, NaN where unknown.
+
+    beta and error are None where the frame has no beta map or no true depth.
+    """
 
     index: int
     depth: np.ndarray
@@ -21,27 +24,29 @@ class SensorFrame:
 
 
 def estimated_sensors(frames: RunFrames) -> list[str]:
-    """The sensors of a run without the true depth."""
+    """The sensors of a run without the ground truth."""
     return [sensor for sensor in frames.sensors if sensor != GROUND_TRUTH_SENSOR]
 
 
 def read_sensor_frame(frames: RunFrames, index: int, sensor: str) -> SensorFrame:
     """Depth, beta and true error of one sensor in one frame. Raises DataError."""
-    depth = _readings(frames.depth(index, sensor).numpy())
+    depth = _nan_where_missing(frames.depth(index, sensor).numpy())
     has_beta = frames.run.beta_path(sensor, index).is_file()
-    beta = _readings(frames.beta(index, sensor).numpy()) if has_beta else None
+    beta = _nan_where_missing(frames.beta(index, sensor).numpy()) if has_beta else None
     has_truth = GROUND_TRUTH_SENSOR in frames.records[index].sensors and sensor != GROUND_TRUTH_SENSOR
-    error = np.abs(depth - _readings(frames.depth(index, GROUND_TRUTH_SENSOR).numpy())) if has_truth else None
+    error = None
+    if has_truth:
+        error = np.abs(depth - _nan_where_missing(frames.depth(index, GROUND_TRUTH_SENSOR).numpy()))
     return SensorFrame(index, depth, beta, error)
 
 
 def spread_frames(frames: RunFrames, sensor: str, count: int) -> list[int]:
-    """Up to `count` frames with an image of `sensor`, evenly spread; those with a beta map where there are any."""
-    seen = [record.index for record in frames.records if sensor in record.sensors]
-    with_beta = [index for index in seen if frames.run.beta_path(sensor, index).is_file()]
-    usable = with_beta or seen
+    """Up to `count` frames with an image of `sensor`, evenly spread; only those with a beta map if there are any."""
+    with_depth = [record.index for record in frames.records if sensor in record.sensors]
+    with_beta = [index for index in with_depth if frames.run.beta_path(sensor, index).is_file()]
+    usable = with_beta or with_depth
     return [usable[round(p)] for p in np.linspace(0, len(usable) - 1, min(count, len(usable)))] if usable else []
 
 
-def _readings(values: np.ndarray) -> np.ndarray:
+def _nan_where_missing(values: np.ndarray) -> np.ndarray:
     return np.where(values > 0, values, np.nan)

@@ -1,4 +1,4 @@
-"""What a run learned about its sensors, in a few figures each."""
+"""What a map learned about one sensor, in a few numbers."""
 
 from __future__ import annotations
 
@@ -7,39 +7,51 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..run.directory import RunDirectory
-from .noise_curves import Readings
+from .noise_curves import BetaSamples
 from .uncertainty_calibration import UncertaintyMetrics
-
-DISTANCES_M = (1, 2, 3, 5)
-WITHIN = 0.1  # readings this share nearer or farther count for a distance
-FEWEST = 50  # readings that a distance needs
 
 
 @dataclass(frozen=True)
-class Standing:
-    """What a sensor counts in the map; None = unknown.
-
-    map_share        share of its readings in the weights that decide where the surface of the map is
-    reading_worth    what one of them counts beside one of colour with the same beta
+class SensorSummaryParameters:
+    """distances_m       distances at which the median beta is given
+    tolerance_ratio   samples within this ratio of a distance count for it
+    min_measurements  samples that a distance needs
     """
 
-    map_share: float | None = None
-    reading_worth: float | None = None
+    distances_m: tuple[int, ...] = (1, 2, 3, 5)
+    tolerance_ratio: float = 0.1
+    min_measurements: int = 50
+
+
+DEFAULT_PARAMETERS = SensorSummaryParameters()
+
+
+@dataclass(frozen=True)
+class SensorWeightSummary:
+    """Influence of a sensor on the map; None = unknown.
+
+    weight_share   ratio of its measurements in the fusion weights around the surface
+    reliability    weight factor for its correlated errors, beside photometric depth of the same beta
+    """
+
+    weight_share: float | None = None
+    reliability: float | None = None
 
 
 @dataclass(frozen=True)
 class SensorUncertainty:
-    """Of one sensor; None = unknown.
+    """Summary of one sensor; None = unknown.
 
-    map_share, reading_worth    as in `Standing`
-    median_beta_m    of the readings that were looked at; `low_beta_m` and `high_beta_m`: their 10th and 90th percentile
-    beta_at_m        distance in metres, as text -> median beta of the readings about there
-    scores           against the true depth
+    weight_share, reliability   as in `SensorWeightSummary`
+    measurements                number of sampled measurements
+    median_beta_m               median of their betas; `low_beta_m`, `high_beta_m`: 10th and 90th percentile
+    beta_at_m                   distance in metres, as text -> median beta of the measurements at about that distance
+    scores                      against the true depth
     """
 
-    map_share: float | None
-    reading_worth: float | None
-    readings: int
+    weight_share: float | None
+    reliability: float | None
+    measurements: int
     median_beta_m: float
     low_beta_m: float
     high_beta_m: float
@@ -47,29 +59,46 @@ class SensorUncertainty:
     scores: UncertaintyMetrics | None = None
 
 
-def summarise(
-    readings: Readings, standing: Standing = Standing(), scores: UncertaintyMetrics | None = None
+def summarise_sensor(
+    samples: BetaSamples,
+    weights: SensorWeightSummary = SensorWeightSummary(),
+    scores: UncertaintyMetrics | None = None,
+    parameters: SensorSummaryParameters = DEFAULT_PARAMETERS,
 ) -> SensorUncertainty:
-    """The figures of one sensor."""
-    low, median, high = (_rounded(value) for value in np.percentile(readings.beta, (10, 50, 90)))
-    at = {str(distance): _beta_at(readings, distance) for distance in DISTANCES_M}
-    counts = standing.map_share, standing.reading_worth
-    return SensorUncertainty(*counts, len(readings.beta), median, low, high, at, scores)
+    """The summary of one sensor."""
+    low, median, high = (_rounded(value) for value in np.percentile(samples.beta, (10, 50, 90)))
+    return SensorUncertainty(
+        weight_share=weights.weight_share,
+        reliability=weights.reliability,
+        measurements=len(samples.beta),
+        median_beta_m=median,
+        low_beta_m=low,
+        high_beta_m=high,
+        beta_at_m={str(distance): _beta_at(samples, distance, parameters) for distance in parameters.distances_m},
+        scores=scores,
+    )
 
 
-def _beta_at(readings: Readings, distance_m: float) -> float | None:
-    near = np.abs(readings.depth - distance_m) < WITHIN * distance_m
-    return _rounded(np.median(readings.beta[near])) if near.sum() >= FEWEST else None
+def sensor_weight_summary(run: RunDirectory, sensor: str) -> SensorWeightSummary:
+    """Weight share and reliability of a sensor as the map stage recorded them."""
+    return SensorWeightSummary(
+        _sensor_fact(run, "sensor_weight_share", sensor), _sensor_fact(run, "sensor_reliability", sensor)
+    )
+
+
+def _sensor_fact(run: RunDirectory, fact: str, sensor: str) -> float | None:
+    """The number that the map stage recorded for `sensor` in the dictionary `fact`; None where there is none."""
+    record = run.load_manifest().stages.get("map")
+    by_sensor = record.facts.get(fact) if record is not None else None
+    value = by_sensor.get(sensor) if isinstance(by_sensor, dict) else None
+    return float(value) if isinstance(value, int | float) else None
+
+
+def _beta_at(samples: BetaSamples, distance_m: float, parameters: SensorSummaryParameters) -> float | None:
+    near = np.abs(samples.depth - distance_m) < parameters.tolerance_ratio * distance_m
+    return _rounded(np.median(samples.beta[near])) if near.sum() >= parameters.min_measurements else None
 
 
 def _rounded(beta_m: np.floating) -> float:
-    """Beta maps hold tenths of a millimetre."""
+    """Rounded to 0.01 mm: beta maps hold tenths of a millimetre."""
     return round(float(beta_m), 5)
-
-
-def standing_of(run: RunDirectory, sensor: str) -> Standing:
-    """What the sensor counts as the map stage recorded it."""
-    mapped = run.manifest.stages.get("map")
-    known = [mapped.facts.get(fact) if mapped else None for fact in ("sensor_weight_share", "sensor_reliability")]
-    values = [fact.get(sensor) if isinstance(fact, dict) else None for fact in known]
-    return Standing(*(float(value) if isinstance(value, int | float) else None for value in values))

@@ -9,16 +9,31 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from ..core.errors import DataError
+from ..core.se3 import rotation_angle
 from ..core.trajectory import Trajectory
-from .drift import Drift, measure_drift, motion_errors, rotation_angles
+from .drift import Drift, measure_drift, motion_errors
 
-MAX_DIFFERENCE_S = 0.02
-_RPE_SECONDS = 1.0
+
+@dataclass(frozen=True)
+class TrajectoryParameters:
+    """max_difference_s  largest difference of the time stamps of matched poses
+    rpe_delta_frames  matched poses over which the relative pose error (RPE) is measured
+    rpe_seconds       time over which it is measured as well
+    segment_m         length of the path segments over which drift is measured
+    """
+
+    max_difference_s: float = 0.02
+    rpe_delta_frames: int = 1
+    rpe_seconds: float = 1.0
+    segment_m: float = 1.0
+
+
+DEFAULT_PARAMETERS = TrajectoryParameters()
 
 
 @dataclass(frozen=True)
 class ErrorStatistics:
-    """Of non-negative errors, in the unit of the field that holds them."""
+    """Statistics of non-negative errors, in the unit of the field that holds them."""
 
     rmse: float
     mean: float
@@ -35,51 +50,58 @@ class ErrorStatistics:
 
 @dataclass(frozen=True)
 class MatchedPoses:
-    """Finite poses of an estimate and of the truth at the same times, in the order of time.
+    """Finite estimated and true poses at the same times, in order of time.
 
-    timestamps (M,) seconds, of the estimate; found, true (M, 4, 4) T_world_camera; M > 0
+    timestamps (M,) seconds, of the estimate; estimate, true (M, 4, 4) T_world_camera; M > 0
     """
 
     timestamps: np.ndarray
-    found: np.ndarray
+    estimate: np.ndarray
     true: np.ndarray
 
     @staticmethod
-    def of(estimate: Trajectory, reference: Trajectory, max_difference_s: float = MAX_DIFFERENCE_S) -> MatchedPoses:
-        """Raises DataError if none match."""
+    def of(
+        estimate: Trajectory, reference: Trajectory, max_difference_s: float = DEFAULT_PARAMETERS.max_difference_s
+    ) -> MatchedPoses:
+        """Match poses by time. Raises DataError if none match."""
         pairs = associate(estimate, reference, max_difference_s)
-        found, true = estimate.T_world_camera[pairs[:, 0]], reference.T_world_camera[pairs[:, 1]]
-        return MatchedPoses(estimate.timestamps[pairs[:, 0]], found, true)
+        return MatchedPoses(
+            estimate.timestamps[pairs[:, 0]],
+            estimate.T_world_camera[pairs[:, 0]],
+            reference.T_world_camera[pairs[:, 1]],
+        )
 
     def __len__(self) -> int:
         return len(self.timestamps)
 
     @cached_property
-    def T_true_found(self) -> np.ndarray:
-        """(4, 4) rigid motion of the whole estimate that brings its camera centres nearest to the true ones."""
-        return rigid_alignment(self.found[:, :3, 3], self.true[:, :3, 3])
+    def T_true_estimate(self) -> np.ndarray:
+        """(4, 4) rigid motion of the whole estimate that minimises the squared distances of the camera centres."""
+        return rigid_alignment(self.estimate[:, :3, 3], self.true[:, :3, 3])
 
     def position_errors(self, *, aligned: bool) -> np.ndarray:
-        """(M,) metres."""
-        found = self.T_true_found @ self.found if aligned else self.found
-        return np.linalg.norm(found[:, :3, 3] - self.true[:, :3, 3], axis=1)
+        """(M,) metres; `aligned`: after `T_true_estimate`."""
+        estimate = self.T_true_estimate @ self.estimate if aligned else self.estimate
+        return np.linalg.norm(estimate[:, :3, 3] - self.true[:, :3, 3], axis=1)
 
     def rotation_errors(self, *, aligned: bool) -> np.ndarray:
-        """(M,) radians. Aligned: after the one rotation that fits all orientations best, which unlike that of
-        `T_true_found` is known where the camera stands still or moves in a line."""
-        found, true = self.found[:, :3, :3], self.true[:, :3, :3]
-        common = _nearest_rotation((true @ found.transpose(0, 2, 1)).sum(axis=0)) if aligned else np.eye(3)
-        return rotation_angles(true.transpose(0, 2, 1) @ common @ found)
+        """(M,) radians; `aligned`: after the one rotation that fits all orientations best.
+
+        Unlike the rotation of `T_true_estimate`, it is determined also if the camera stands still or moves in a line.
+        """
+        estimate, true = self.estimate[:, :3, :3], self.true[:, :3, :3]
+        common = _nearest_rotation((true @ estimate.transpose(0, 2, 1)).sum(axis=0)) if aligned else np.eye(3)
+        return rotation_angle(true.transpose(0, 2, 1) @ common @ estimate)
 
 
 @dataclass(frozen=True)
 class TrajectoryMetrics:
-    """ate_*         distances between true and estimated camera centres, as they are and after the best rigid motion
-                  (no scale) of the whole estimate
-    rpe_*         errors of the motion over `rpe_delta_frames` matched poses, None if there are no more than that
-    rpe_second_*  the same over one second; None without a clock, or if no two poses are a second apart
-    drift         how the error grows; None if the true camera does not move
-    completeness  share of the frames of the run that have a pose; None where there is no run
+    """ate_m          distances between true and estimated camera centres, unaligned
+    ate_aligned_m  the same after the best rigid motion (no scale) of the whole estimate
+    rpe_*          errors of the motion over `rpe_delta_frames` matched poses; None if there are no more than that
+    rpe_second_*   the same over one second; None without a clock, or if no two poses are a second apart
+    drift          how the error grows; None if the true camera does not move
+    completeness   ratio of the frames of the run that have a pose; None where there is no run
     """
 
     ate_m: ErrorStatistics
@@ -98,36 +120,38 @@ class TrajectoryMetrics:
 
 
 def evaluate_trajectory(
-    estimate: Trajectory,
-    reference: Trajectory,
-    *,
-    max_difference_s: float = MAX_DIFFERENCE_S,
-    rpe_delta_frames: int = 1,
+    estimate: Trajectory, reference: Trajectory, parameters: TrajectoryParameters = DEFAULT_PARAMETERS
 ) -> TrajectoryMetrics:
     """Score `estimate` against `reference`; poses that are not finite are left out. Raises DataError if none match."""
-    matched = MatchedPoses.of(estimate, reference, max_difference_s)
-    starts = np.arange(max(0, len(matched) - rpe_delta_frames))
-    translation, rotation = _relative_statistics(matched, starts, starts + rpe_delta_frames)
+    matched = MatchedPoses.of(estimate, reference, parameters.max_difference_s)
+    delta = parameters.rpe_delta_frames
+    starts = np.arange(max(0, len(matched) - delta))
+    translation, rotation = _relative_statistics(matched, starts, starts + delta)
     clock = has_clock(matched.timestamps)
-    seconds = _relative_statistics(matched, *pairs_after(matched.timestamps, _RPE_SECONDS)) if clock else (None, None)
+    second_translation, second_rotation = None, None
+    if clock:
+        pairs = pairs_after(matched.timestamps, parameters.rpe_seconds)
+        second_translation, second_rotation = _relative_statistics(matched, *pairs)
     return TrajectoryMetrics(
         ate_m=ErrorStatistics.of(matched.position_errors(aligned=False)),
         ate_aligned_m=ErrorStatistics.of(matched.position_errors(aligned=True)),
         rpe_translation_m=translation,
         rpe_rotation_rad=rotation,
-        rpe_second_translation_m=seconds[0],
-        rpe_second_rotation_rad=seconds[1],
-        drift=measure_drift(matched.found, matched.true, matched.timestamps if clock else None),
+        rpe_second_translation_m=second_translation,
+        rpe_second_rotation_rad=second_rotation,
+        drift=measure_drift(
+            matched.estimate, matched.true, matched.timestamps if clock else None, parameters.segment_m
+        ),
         matched_poses=len(matched),
         estimated_poses=len(estimate),
         reference_poses=len(reference),
-        max_difference_s=max_difference_s,
-        rpe_delta_frames=rpe_delta_frames,
+        max_difference_s=parameters.max_difference_s,
+        rpe_delta_frames=delta,
     )
 
 
 def has_clock(timestamps: np.ndarray) -> bool:
-    """Whether time stamps are seconds: whole numbers alone are the indices of frames (docs/conventions.md, time)."""
+    """Whether time stamps are seconds: if all are whole numbers, they are frame numbers (docs/conventions.md)."""
     return bool((timestamps % 1 != 0).any())
 
 
@@ -146,13 +170,13 @@ def associate(estimate: Trajectory, reference: Trajectory, max_difference_s: flo
     if len(chosen) == 0:
         raise DataError(
             f"the trajectories share no time stamp within {max_difference_s} s: {times[0]:.3f} to {times[-1]:.3f} and "
-            f"{true_times[0]:.3f} to {true_times[-1]:.3f}; are both of the same recording?"
+            f"{true_times[0]:.3f} to {true_times[-1]:.3f}; check that both are of the same recording"
         )
     return np.column_stack([finite[0][chosen], finite[1][nearest[chosen]]])
 
 
 def rigid_alignment(source: np.ndarray, target: np.ndarray) -> np.ndarray:
-    """(4, 4) rigid motion that takes (N, 3) `source` to `target` with least squared error (Umeyama 1991, no scale)."""
+    """(4, 4) rigid motion that maps (N, 3) `source` to `target` with least squared error (Umeyama 1991, no scale)."""
     source_mean, target_mean = source.mean(axis=0), target.mean(axis=0)
     T = np.eye(4)
     T[:3, :3] = _nearest_rotation((target - target_mean).T @ (source - source_mean))
@@ -160,24 +184,18 @@ def rigid_alignment(source: np.ndarray, target: np.ndarray) -> np.ndarray:
     return T
 
 
-def relative_errors(found: np.ndarray, true: np.ndarray, delta: int) -> tuple[np.ndarray, np.ndarray]:
-    """Poses (N, 4, 4) -> translation errors in metres and rotation angles in radians of the motions over `delta`."""
-    starts = np.arange(max(0, len(found) - delta))
-    return motion_errors(found, true, starts, starts + delta)
-
-
 def pairs_after(timestamps: np.ndarray, seconds: float) -> tuple[np.ndarray, np.ndarray]:
-    """Indices of starts and ends: for each of the increasing time stamps (N,) that which is nearest to `seconds` later.
+    """Indices (M,) of starts and (M,) of ends: for each of the increasing time stamps (N,) the one `seconds` later.
 
-    Where there is none within half of the usual distance of two, as behind a gap, the start is left out.
+    A start is left out if the nearest time stamp is off by more than half the median interval, as before a gap.
     """
     if len(timestamps) < 2:
         return np.zeros(0, int), np.zeros(0, int)
     tolerance = 0.5 * float(np.median(np.diff(timestamps))) + 1e-6
-    wanted = timestamps + seconds
-    later = np.clip(np.searchsorted(timestamps, wanted), 1, len(timestamps) - 1)
-    later -= wanted - timestamps[later - 1] < timestamps[later] - wanted
-    starts = np.flatnonzero((np.abs(timestamps[later] - wanted) <= tolerance) & (later > np.arange(len(later))))
+    target = timestamps + seconds
+    later = np.clip(np.searchsorted(timestamps, target), 1, len(timestamps) - 1)
+    later -= target - timestamps[later - 1] < timestamps[later] - target
+    starts = np.flatnonzero((np.abs(timestamps[later] - target) <= tolerance) & (later > np.arange(len(later))))
     return starts, later[starts]
 
 
@@ -186,11 +204,11 @@ def _relative_statistics(
 ) -> tuple[ErrorStatistics | None, ErrorStatistics | None]:
     if len(starts) == 0:
         return None, None
-    translation, rotation = motion_errors(matched.found, matched.true, starts, ends)
+    translation, rotation = motion_errors(matched.estimate, matched.true, starts, ends)
     return ErrorStatistics.of(translation), ErrorStatistics.of(rotation)
 
 
 def _nearest_rotation(matrix: np.ndarray) -> np.ndarray:
-    """(3, 3) rotation with the largest inner product with `matrix` (3, 3); never a mirror."""
+    """(3, 3) rotation with the largest inner product with `matrix` (3, 3); never a reflection."""
     u, _, vt = np.linalg.svd(matrix)
     return u @ np.diag([1.0, 1.0, np.sign(np.linalg.det(u @ vt))]) @ vt

@@ -1,12 +1,9 @@
-"""All that is known of the way of a camera: estimated poses, true poses, and what the tracker says of each."""
+"""The path of a camera: estimated poses, true poses, and the tracking record."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from pathlib import Path
-
-import numpy as np
 
 from ..core.errors import DataError
 from ..core.trajectory import Trajectory
@@ -17,7 +14,7 @@ from .trajectory_metrics import MatchedPoses, has_clock
 
 @dataclass(frozen=True)
 class CameraPath:
-    """`reference` is None without a truth, `record` where nothing was tracked."""
+    """`reference` (true poses) is None where they are unknown, `record` where the poses were given."""
 
     estimate: Trajectory
     reference: Trajectory | None = None
@@ -25,31 +22,26 @@ class CameraPath:
 
     @staticmethod
     def of_run(run: RunDirectory, *, with_record: bool = True) -> CameraPath:
-        """Raises DataError if the run has no trajectory, or a file that is asked for cannot be read."""
+        """The path of a run. Raises DataError if it has no trajectory, or a file cannot be read."""
         if not run.trajectory_path.is_file():
-            raise DataError(f"there is no trajectory yet; run `uncle map --run {run.root}`")
+            raise DataError(f"{run.root} has no trajectory; make it with `uncle map --run {run.root}`")
         estimate = Trajectory.load(run.trajectory_path)
-        true, record = run.reference_trajectory_path, run.tracking_path
-        reference = Trajectory.load(true) if true.is_file() else None
-        has_record = with_record and record.is_file()
-        return CameraPath(estimate, reference, TrackingRecord.load(record) if has_record else None)
-
-    @staticmethod
-    def of_files(estimate: Path, reference: Path) -> CameraPath:
-        """Two files of TUM text. Raises DataError."""
-        return CameraPath(Trajectory.load(estimate), Trajectory.load(reference))
+        has_reference = run.reference_trajectory_path.is_file()
+        reference = Trajectory.load(run.reference_trajectory_path) if has_reference else None
+        has_record = with_record and run.tracking_path.is_file()
+        return CameraPath(estimate, reference, TrackingRecord.load(run.tracking_path) if has_record else None)
 
     @cached_property
     def posed(self) -> Trajectory:
-        """The estimate without poses that are not finite, in the order of time. Raises DataError if none is left."""
-        finite = finite_poses(self.estimate)
+        """The finite poses of the estimate, in order of time. Raises DataError if there are none."""
+        finite = self.estimate.finite()
         if len(finite) == 0:
             raise DataError("the trajectory holds no finite pose")
         return finite
 
     @cached_property
     def matched(self) -> MatchedPoses | None:
-        """None without a truth at the same times."""
+        """Estimated and true poses at the same times; None if there are none."""
         if self.reference is None:
             return None
         try:
@@ -59,6 +51,7 @@ class CameraPath:
 
     @cached_property
     def has_clock(self) -> bool:
+        """Whether time stamps are seconds, not frame numbers."""
         return has_clock(self.posed.timestamps)
 
     @cached_property
@@ -69,7 +62,7 @@ class CameraPath:
 
     @cached_property
     def lost_spans(self) -> list[tuple[float, float]]:
-        """From the last time stamp before to the first after each stretch of lost frames, or its own at an end."""
+        """Start and end time of each range of lost frames: the time stamps of the frames around it, where there are."""
         if self.record is None:
             return []
         spans: list[tuple[float, float]] = []
@@ -82,10 +75,3 @@ class CameraPath:
                 open_since = None
             previous = frame.timestamp
         return spans if open_since is None or previous is None else [*spans, (open_since, previous)]
-
-
-def finite_poses(trajectory: Trajectory) -> Trajectory:
-    """The finite poses in the order of time."""
-    finite = np.isfinite(trajectory.T_world_camera).all(axis=(1, 2)) & np.isfinite(trajectory.timestamps)
-    order = np.flatnonzero(finite)[np.argsort(trajectory.timestamps[finite], kind="stable")]
-    return Trajectory(trajectory.timestamps[order], trajectory.T_world_camera[order])

@@ -1,4 +1,4 @@
-"""What the cameras of a run saw, for scoring only that."""
+"""Which parts of a scene the cameras of a run saw, so that only those are scored."""
 
 from __future__ import annotations
 
@@ -16,34 +16,50 @@ from ..core.mesh_raycaster import Surface
 from ..run.directory import RunDirectory
 from ..run.frames import RunFrames
 
-BEHIND_M = 0.2  # how far behind a reading a point still counts as visible
-FEW_FRAMES = 60  # fewer are all asked; of more, every second at most: neighbours see the same
-MAX_STRIDE = 4  # pixels between the readings that stand for the seen reference; fewer where there are few
-REFERENCE_READINGS = 1_000_000
-REFERENCE_VOXEL_M = 0.015
-MAX_FRAMES = 250  # evenly spread; more change the outcome by less than the sampling does
+
+@dataclass(frozen=True)
+class VisibilityParameters:
+    """max_behind_m        a point counts as visible up to this far behind the depth measurement of its pixel
+    all_frames_below    runs with fewer posed frames use all of them; longer ones every second frame at most, because
+                        neighbours see the same
+    max_frames          frames that are used, evenly spread; more change the scores by less than the sampling does
+    max_stride          pixels between the samples of the seen reference, at most
+    max_reference_samples   the stride is the smallest with which no more samples are made, up to `max_stride`
+    reference_voxel_m   one point of the seen reference is kept in each voxel
+    """
+
+    max_behind_m: float = 0.2
+    all_frames_below: int = 60
+    max_frames: int = 250
+    max_stride: int = 4
+    max_reference_samples: int = 1_000_000
+    reference_voxel_m: float = 0.015
+
+
+DEFAULT_PARAMETERS = VisibilityParameters()
 
 
 @dataclass(frozen=True)
 class Visibility:
     """Which points the frames of a run saw.
 
-    `sensors` is the ground-truth sensor alone where the run has it, otherwise all: a point counts if one sees it.
-    `indices` are the frames that are asked.
+    sensors   the ground-truth sensor alone where the run has it, else all: a point counts if one of them sees it
+    indices   frames that are used
     """
 
     frames: RunFrames
     sensors: tuple[str, ...]
     indices: tuple[int, ...]
+    parameters: VisibilityParameters = DEFAULT_PARAMETERS
 
     @property
     def has_true_depth(self) -> bool:
         return self.sensors == (GROUND_TRUTH_SENSOR,)
 
     @staticmethod
-    def of_run(run: RunDirectory, max_frames: int = MAX_FRAMES) -> Visibility:
+    def of_run(run: RunDirectory, parameters: VisibilityParameters = DEFAULT_PARAMETERS) -> Visibility:
         """Raises RunError if the run has no frames, DataError if none has a pose."""
-        available = run.manifest.sensors
+        available = run.load_manifest().sensors
         sensors = (GROUND_TRUTH_SENSOR,) if GROUND_TRUTH_SENSOR in available else available
         frames = RunFrames(run, sensors)
         posed = [index for index in range(len(frames)) if frames.pose(index) is not None]
@@ -51,33 +67,31 @@ class Visibility:
             raise DataError(f"{run.root} has no camera poses from its data set, so what the cameras saw is unknown")
         if not sensors:
             raise RunError(f"{run.root} has no depth sensor; redo it with `uncle preprocess`")
-        step = 1 if len(posed) < FEW_FRAMES else max(2, -(-len(posed) // max_frames))
-        return Visibility(frames, sensors, tuple(posed[::step]))
+        step = 1 if len(posed) < parameters.all_frames_below else max(2, -(-len(posed) // parameters.max_frames))
+        return Visibility(frames, sensors, tuple(posed[::step]), parameters)
 
-    def seen(self, points: np.ndarray) -> np.ndarray:
-        """(N, 3) world points, metres -> (N,) bool: in some image and not more than `BEHIND_M` behind its reading."""
-        found = np.zeros(len(points), dtype=bool)
-        pending = np.arange(len(points))  # points that no frame has accepted yet
+    def is_visible(self, points: np.ndarray) -> np.ndarray:
+        """(N, 3) world points, metres -> (N,) bool: inside some image and at most `max_behind_m` behind its depth."""
+        visible = np.zeros(len(points), dtype=bool)
+        pending = np.arange(len(points))  # points that no frame has seen yet
         for T_world_camera, depths in self._views():
             inside, pixels, z = project_into(points[pending], self.frames.camera, T_world_camera)
-            reading = np.max(depths, axis=0)[pixels[:, 1], pixels[:, 0]]
-            found[pending[inside[(reading > 0) & (z < reading + BEHIND_M)]]] = True
-            pending = pending[~found[pending]]
+            depth = np.max(depths, axis=0)[pixels[:, 1], pixels[:, 0]]
+            visible[pending[inside[(depth > 0) & (z < depth + self.parameters.max_behind_m)]]] = True
+            pending = pending[~visible[pending]]
             if len(pending) == 0:
                 break
-        return found
+        return visible
 
     def reference_points(self, reference: Mesh) -> np.ndarray:
-        """(M, 3) points of the reference surface that the frames saw, one in each voxel of `REFERENCE_VOXEL_M`.
+        """(M, 3) points of the reference surface that the frames saw, one in each voxel.
 
-        They come from the ground-truth depth where the run has it. Elsewhere the reference is rendered at the poses
-        of the run and kept in the pixels where a sensor has a reading.
+        They are back-projected from the ground-truth depth where the run has it. Elsewhere the reference is rendered
+        at the poses of the run and kept in the pixels where a sensor has a measurement.
         """
         surface = None if self.has_true_depth else Surface(reference)
-        camera = self.frames.camera
-        readings = len(self.indices) * camera.width * camera.height
-        stride = min(MAX_STRIDE, math.ceil(math.sqrt(readings / REFERENCE_READINGS)))
-        rays = camera.rays().numpy()[::stride, ::stride]
+        stride = self._stride()
+        rays = self.frames.camera.rays().numpy()[::stride, ::stride]
         points = [np.zeros((0, 3))]
         for T_world_camera, depths in self._views():
             depth = np.max(depths, axis=0)[::stride, ::stride]
@@ -87,7 +101,13 @@ class Visibility:
             valid = depth > 0
             local = rays[valid] * depth[valid][:, None]
             points.append(local @ T_world_camera[:3, :3].T + T_world_camera[:3, 3])
-        return voxel_means(np.concatenate(points), REFERENCE_VOXEL_M)
+        return voxel_means(np.concatenate(points), self.parameters.reference_voxel_m)
+
+    def _stride(self) -> int:
+        """Pixels between the samples of the seen reference."""
+        camera = self.frames.camera
+        pixels = len(self.indices) * camera.width * camera.height
+        return min(self.parameters.max_stride, math.ceil(math.sqrt(pixels / self.parameters.max_reference_samples)))
 
     def _views(self) -> Iterator[tuple[np.ndarray, list[np.ndarray]]]:
         for index in self.indices:
@@ -96,10 +116,10 @@ class Visibility:
 
 
 def voxel_means(points: np.ndarray, voxel_m: float) -> np.ndarray:
-    """(N, 3) points -> (M, 3): the mean of the points in each occupied cube of `voxel_m`, in order of the cubes."""
+    """(N, 3) points -> (M, 3): the mean of the points in each occupied voxel of size `voxel_m`, in voxel order."""
     if len(points) == 0:
         return points
-    keys = np.floor((points - points.min(axis=0)) / voxel_m + 0.5).astype(np.int64)  # outer walls lie mid-cube
-    cubes = np.ravel_multi_index(keys.T, keys.max(axis=0) + 1)
-    _, owner, counts = np.unique(cubes, return_inverse=True, return_counts=True)
+    keys = np.floor((points - points.min(axis=0)) / voxel_m + 0.5).astype(np.int64)  # outer walls lie mid-voxel
+    voxels = np.ravel_multi_index(keys.T, keys.max(axis=0) + 1)
+    _, owner, counts = np.unique(voxels, return_inverse=True, return_counts=True)
     return np.column_stack([np.bincount(owner, points[:, axis]) for axis in range(3)]) / counts[:, None]

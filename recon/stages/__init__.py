@@ -8,22 +8,30 @@ from typing import TYPE_CHECKING
 from ..core.lazy import lazy_names
 
 if TYPE_CHECKING:
+    from .base import StageSummary
+    from .evaluate import EvaluationSettings, evaluate_mesh_file, evaluate_run, evaluate_trajectory_file
     from .map import load_field, map_run
     from .mesh import mesh_run
-    from .preprocess import preprocess
-    from .report import write_report
-    from .snapshot import snapshot_file, snapshot_run
+    from .preprocess import preprocess_run
+    from .report import report_run
+    from .snapshot import SnapshotSettings, snapshot_file, snapshot_run
     from .uncertainty import uncertainty_run
 
 __all__ = [
+    "EvaluationSettings",
+    "SnapshotSettings",
+    "StageSummary",
+    "evaluate_mesh_file",
+    "evaluate_run",
+    "evaluate_trajectory_file",
     "load_field",
     "map_run",
     "mesh_run",
-    "preprocess",
+    "preprocess_run",
+    "report_run",
     "snapshot_file",
     "snapshot_run",
     "uncertainty_run",
-    "write_report",
 ]
 
 __getattr__ = lazy_names(
@@ -31,9 +39,13 @@ __getattr__ = lazy_names(
     {
         **dict.fromkeys(("load_field", "map_run"), ".map"),
         "mesh_run": ".mesh",
-        "preprocess": ".preprocess",
-        "write_report": ".report",
-        **dict.fromkeys(("snapshot_file", "snapshot_run"), ".snapshot"),
+        "StageSummary": ".base",
+        **dict.fromkeys(
+            ("EvaluationSettings", "evaluate_mesh_file", "evaluate_run", "evaluate_trajectory_file"), ".evaluate"
+        ),
+        "preprocess_run": ".preprocess",
+        "report_run": ".report",
+        **dict.fromkeys(("SnapshotSettings", "snapshot_file", "snapshot_run"), ".snapshot"),
         "uncertainty_run": ".uncertainty",
     },
 )

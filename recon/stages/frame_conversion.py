@@ -1,4 +1,4 @@
-"""One frame of a recording becomes the files of one frame of a run."""
+"""Conversion of one frame of a recording into the files of one frame of a run."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ MAX_DEPTH_M = 65535 / DEPTH_UNITS_PER_M  # what a 16-bit image of millimetres ca
 
 @dataclass(frozen=True)
 class FrameResult:
-    """What became of one frame of the recording: `record` is None if it was skipped."""
+    """Result of converting one frame: `record` is None if it was skipped."""
 
     source_index: int
     record: FrameRecord | None
@@ -49,11 +49,11 @@ class FrameConverter:
                 skipped[f"{source_index}/{sensor}"] = str(error)
         if not depths:
             return FrameResult(source_index, None, {str(source_index): "; ".join(skipped.values())})
-        seen = {sensor: depth for sensor, depth in depths.items() if depth.any()}
-        skipped |= {f"{source_index}/{sensor}": "no depth reading" for sensor in depths if sensor not in seen}
-        record = self._record(index, source_index, tuple(seen))
+        valid = {sensor: depth for sensor, depth in depths.items() if depth.any()}
+        skipped |= {f"{source_index}/{sensor}": "no valid depth" for sensor in depths if sensor not in valid}
+        record = self._record(index, source_index, tuple(valid))
         write_image(staging.color_path(record.color), color)
-        for sensor, depth in seen.items():
+        for sensor, depth in valid.items():
             self._write_sensor(staging, sensor, index, depth)
         return FrameResult(source_index, record, skipped)
 
@@ -75,5 +75,5 @@ class FrameConverter:
 
 
 def cleaned_depth(depth: np.ndarray) -> np.ndarray:
-    """(H, W) float32 metres with 0 for whatever is no reading: not finite, negative, or too far to be stored."""
+    """(H, W) float32 metres, with 0 for invalid depth: not finite, negative, or too far to be stored."""
     return np.where((depth > 0.5 / DEPTH_UNITS_PER_M) & (depth < MAX_DEPTH_M), depth, np.float32(0.0))

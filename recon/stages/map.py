@@ -29,18 +29,17 @@ from ..run.tracking_record import TrackingRecord
 from ..sensors.noise_prior import NoisePrior
 from ..tracking.base import GivenPoses
 from ..volume.neural_field import NeuralField
+from .base import StageSummary
 
 STAGE = "map"
 
 
-@dataclass(frozen=True)
-class MapSummary:
-    """What a person wants to hear after `uncle map`."""
+@dataclass(frozen=True, kw_only=True)
+class MapSummary(StageSummary):
+    """Number of frames in the map, and the largest resident memory of the process; 0 if the map was kept."""
 
     frames: int
-    seconds: float
-    peak_memory_mb: float
-    unchanged: bool = False
+    peak_memory_mb: float = 0.0
 
 
 def map_run(
@@ -53,7 +52,7 @@ def map_run(
     `overwrite`; `resume` continues an interrupted one. Raises ConfigError for unknown sensors or a prior that does not
     fit, DataError if nothing can be mapped, RunError for files.
     """
-    manifest = run.manifest
+    manifest = run.load_manifest()
     config = config.model_copy(update={"sensors": choose_sensors(manifest, config.sensors)})
     spec = method_spec(config.method)
     spec.check_sensors(config.sensors)
@@ -66,32 +65,32 @@ def map_run(
     checkpoint = Checkpoint(run.checkpoint_path, digest)
     continues = resume and not overwrite and checkpoint.load() is not None  # a broken --overwrite goes on, too
     if run.is_current(STAGE, digest) and not overwrite and not continues:
-        return MapSummary(len(Trajectory.load(run.trajectory_path)), 0.0, 0.0, unchanged=True)
+        return MapSummary(frames=len(Trajectory.load(run.trajectory_path)), unchanged=True)
     facts = {} if prior is None else {"prior": _checked(prior, run, config, on_event)}
     frames = RunFrames(run, config.sensors)
     indices, held_out = split_frames(frames, config, on_event)
     _prepare(checkpoint, resume and not overwrite, on_event)
     torch.manual_seed(config.seed)
     started = time.time()
-    made = make_map(MapJob(run, frames, indices, config, checkpoint, prior, on_event))
-    facts |= made.facts
-    save_tensors(run.field_path, made.field.to_state())
-    _trajectory(frames, made.poses).save(run.trajectory_path)
-    if made.tracking is not None:
-        made.tracking.save(run.tracking_path)
-        facts["tracking"] = made.tracking.counts()
-        _report_lost(made.tracking, on_event)
+    result = make_map(MapJob(run, frames, indices, config, checkpoint, prior, on_event))
+    facts |= result.facts
+    save_tensors(run.field_path, result.field.to_state())
+    _trajectory(frames, result.poses).save(run.trajectory_path)
+    if result.tracking is not None:
+        result.tracking.save(run.tracking_path)
+        facts["tracking"] = result.tracking.counts()
+        _report_lost(result.tracking, on_event)
     write_text(run.config_path, to_toml(config))
     facts |= {"method": config.method, "sensors": list(config.sensors), "seed": config.seed, "held_out": held_out}
     facts |= {
         "device": str(choose_device(config.device)),
-        "frames": len(made.poses),
+        "frames": len(result.poses),
         "peak_memory_mb": peak_memory_mb(),
         **gpu_memory(),
     }
     run.finish_stage(STAGE, digest, started, facts)
     checkpoint.remove()
-    return MapSummary(len(made.poses), time.time() - started, facts["peak_memory_mb"])
+    return MapSummary(frames=len(result.poses), seconds=time.time() - started, peak_memory_mb=facts["peak_memory_mb"])
 
 
 def load_field(run: RunDirectory, device: str = "cpu") -> NeuralField:

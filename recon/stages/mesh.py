@@ -1,4 +1,4 @@
-"""The `mesh` stage of a run."""
+"""The `mesh` stage: extract the surface of a finished map."""
 
 from __future__ import annotations
 
@@ -12,19 +12,19 @@ from ..methods.registry import method_specs
 from ..run.directory import RunDirectory
 from ..run.manifest import config_hash
 from ..volume.mesh_extraction import make_mesh
+from .base import StageSummary
 from .map import load_field
 
 STAGE = "mesh"
 
 
-@dataclass(frozen=True)
-class MeshSummary:
-    """Where the mesh is, and its size (0 if it was already there)."""
+@dataclass(frozen=True, kw_only=True)
+class MeshSummary(StageSummary):
+    """Where the mesh is, and its size; 0 vertices and faces if it was kept."""
 
     path: Path
-    vertices: int
-    faces: int
-    unchanged: bool = False
+    vertices: int = 0
+    faces: int = 0
 
 
 def mesh_run(
@@ -33,16 +33,19 @@ def mesh_run(
 ) -> MeshSummary:  # fmt: skip
     """Write the mesh of a finished map to `out` (default RUN/mesh.ply). Raises RunError, DataError.
 
-    Without `clean` the method decides (`MethodSpec.clean_mesh`).
+    voxel_size_m   cell size of marching cubes; None: that of the map
+    clean          keep only what the cameras saw and drop small loose parts; None: as the method has it
+                   (`MethodSpec.clean_mesh`)
+    max_sigma_m    leave out vertices with a larger sigma
     """
-    mapped = run.require_stage("map")
+    map_record = run.require_stage("map")
     if clean is None:
-        spec = method_specs().get(str(mapped.facts.get("method")))  # None: the package of the method is gone
+        spec = method_specs().get(str(map_record.facts.get("method")))  # None: its package is not installed
         clean = spec is None or spec.clean_mesh
-    digest = config_hash(voxel_size_m, clean, max_sigma_m, mapped.config_hash, mapped.finished)
+    digest = config_hash(voxel_size_m, clean, max_sigma_m, map_record.config_hash, map_record.finished)
     path = out or run.mesh_path
     if out is None and run.is_current(STAGE, digest) and path.exists() and not overwrite:
-        return MeshSummary(path, 0, 0, unchanged=True)
+        return MeshSummary(path=path, unchanged=True)
     started = time.time()
     poses = Trajectory.load(run.trajectory_path).T_world_camera
     mesh = make_mesh(load_field(run), run.load_camera(), list(poses), voxel_size_m, clean, max_sigma_m, on_event)
@@ -51,4 +54,6 @@ def mesh_run(
         facts = {"voxel_size_m": voxel_size_m, "clean": clean, "max_sigma_m": max_sigma_m}
         facts |= {"vertices": len(mesh.vertices), "faces": len(mesh.faces)}
         run.finish_stage(STAGE, digest, started, facts)
-    return MeshSummary(path, len(mesh.vertices), len(mesh.faces))
+    return MeshSummary(
+        path=path, vertices=len(mesh.vertices), faces=len(mesh.faces), seconds=time.time() - started
+    )  # fmt: skip

@@ -1,4 +1,4 @@
-"""From a recording to the frames of a run: read, check, convert, and put in place in one step."""
+"""The `preprocess` stage: read and check a recording and convert it into the frames of a run."""
 
 from __future__ import annotations
 
@@ -24,27 +24,26 @@ from ..core.frame import Recording
 from ..core.trajectory import Trajectory
 from ..run.directory import RunDirectory
 from ..run.manifest import FrameRecord, Manifest, config_hash
+from .base import StageSummary
 from .frame_conversion import FrameConverter, FrameResult
 
 STAGE = "preprocess"
-FRAMES_AHEAD = 2  # frames waiting per thread: keeps all of them busy with little memory
+FRAMES_AHEAD = 2  # frames queued per thread: keeps all threads busy with little memory
 
 T = TypeVar("T")
 R = TypeVar("R")
 
 
-@dataclass(frozen=True)
-class PreprocessSummary:
+@dataclass(frozen=True, kw_only=True)
+class PreprocessSummary(StageSummary):
     """`skipped` maps "source index" (a frame) or "source index/sensor" (one image) to the reason."""
 
     frames: int
     sensors: tuple[str, ...]
     skipped: dict[str, str]
-    seconds: float
-    unchanged: bool  # an earlier result was kept
 
 
-def preprocess(
+def preprocess_run(
     recording: Recording,
     run: RunDirectory,
     *,
@@ -56,12 +55,12 @@ def preprocess(
     overwrite: bool = False,
     on_event: OnEvent = ignore,
 ) -> PreprocessSummary:
-    """Convert `recording` into the frames of `run`; what the run held before stays until the new frames are whole.
+    """Convert `recording` into the frames of `run`; earlier frames are replaced only when the new ones are complete.
 
     A frame without readable colour or without any readable depth is skipped, an unreadable depth image is left out;
     both are reported and listed in the manifest. Stages made from earlier frames are marked as not done.
 
-    Raises DataError if a sensor is unknown or never reads anything, or if no frame is usable; RunError if the run
+    Raises DataError if a sensor is unknown or has no depth in any frame, or if no frame is usable; RunError if the run
     cannot be written.
     """
     chosen = _chosen_sensors(recording, sensors)
@@ -85,7 +84,7 @@ def preprocess(
         write_text(staging.frames_path, json.dumps([record.model_dump(mode="json") for record in records], indent=1))
         manifest = _manifest(recording, dataset, dataset_format, chosen, results)
         if stale := [stage for stage in (earlier.stages if earlier else ()) if stage != STAGE]:
-            on_event(Warn(f"made from the earlier frames and to be redone: {', '.join(stale)}"))
+            on_event(Warn(f"these stages were made from the earlier frames; run them again: {', '.join(stale)}"))
         _publish(run, staging, manifest, records)
     seconds = time.time() - started
     facts = {
@@ -96,21 +95,21 @@ def preprocess(
         "lossless": lossless,
     }
     run.finish_stage(STAGE, settings, started, facts)
-    return PreprocessSummary(len(records), chosen, manifest.skipped, seconds, unchanged=False)
+    return PreprocessSummary(frames=len(records), sensors=chosen, skipped=manifest.skipped, seconds=seconds)
 
 
 def dataset_hash(dataset: Path, excluded: Path) -> str:
     """Hash of names, sizes and times of the files below `dataset`, without hidden ones and those below `excluded`."""
     digest = hashlib.sha256(str(dataset.resolve()).encode())
-    for folder, folders, files in os.walk(dataset):
-        here = Path(folder)
-        folders[:] = sorted(n for n in folders if n[0] != "." and (here / n).resolve() != excluded.resolve())
+    for folder_name, subfolders, files in os.walk(dataset):
+        folder = Path(folder_name)
+        subfolders[:] = sorted(n for n in subfolders if n[0] != "." and (folder / n).resolve() != excluded.resolve())
         for name in sorted(name for name in files if name[0] != "."):
             try:
-                status = (here / name).stat()
+                status = (folder / name).stat()
             except OSError:
                 continue
-            digest.update(f"{here / name}\0{status.st_size}\0{status.st_mtime_ns}\0".encode())
+            digest.update(f"{folder / name}\0{status.st_size}\0{status.st_mtime_ns}\0".encode())
     return digest.hexdigest()
 
 
@@ -123,7 +122,7 @@ def _chosen_sensors(recording: Recording, sensors: Sequence[str] | None) -> tupl
 
 
 def _earlier_manifest(run: RunDirectory, dataset: Path) -> Manifest | None:
-    """The manifest of what `run` holds; None if nothing, or nothing of use. Raises RunError if it is not a run."""
+    """The manifest of `run`; None if there is none, or none that can be read. Raises RunError if it is not a run."""
     if run.root.resolve() == dataset.resolve():
         raise RunError(f"{run.root} is the data set itself; choose another place with --run")
     if not run.manifest_path.exists():
@@ -131,7 +130,7 @@ def _earlier_manifest(run: RunDirectory, dataset: Path) -> Manifest | None:
             raise RunError(f"{run.frames_path.parent} is not part of a run; choose another place with --run")
         return None
     try:
-        return run.manifest
+        return run.load_manifest()
     except RunError:  # damaged, or of another version: this is the command that redoes it
         return None
 
@@ -139,12 +138,14 @@ def _earlier_manifest(run: RunDirectory, dataset: Path) -> Manifest | None:
 def _unchanged(run: RunDirectory, manifest: Manifest, on_event: OnEvent) -> PreprocessSummary:
     record = manifest.stages[STAGE]
     on_event(Note(f"{run.root} is up to date with {manifest.dataset}; --overwrite redoes it"))
-    return PreprocessSummary(record.facts["frames"], manifest.sensors, manifest.skipped, 0.0, unchanged=True)
+    return PreprocessSummary(
+        frames=record.facts["frames"], sensors=manifest.sensors, skipped=manifest.skipped, unchanged=True
+    )
 
 
 @contextmanager
 def _staging(run: RunDirectory) -> Iterator[RunDirectory]:
-    """A run directory inside `run` to build the new frames in; it is gone afterwards, whatever happened."""
+    """A temporary run directory inside `run` for the new frames; it is always removed afterwards."""
     staging = RunDirectory(run.root / "frames.part")
     existed = run.root.exists()
     with explain_write_errors(run.root):
@@ -176,7 +177,7 @@ def _convert_all(
 
 
 def _ordered(pool: ThreadPoolExecutor, work: Callable[[T], R], items: Sequence[T], ahead: int) -> Iterator[R]:
-    """Results in the order of `items`, at most `ahead` of them begun; nothing new is begun after a failure."""
+    """Results in the order of `items`, with at most `ahead` in progress; nothing new is started after a failure."""
     pending: list[Future[R]] = [pool.submit(work, item) for item in items[:ahead]]
     try:
         for position in range(len(items)):
@@ -190,7 +191,7 @@ def _ordered(pool: ThreadPoolExecutor, work: Callable[[T], R], items: Sequence[T
 
 
 def _report(results: Sequence[FrameResult], recording: Recording, on_event: OnEvent) -> None:
-    """One warning for each kind of trouble: how often, and the first case."""
+    """One warning per kind of problem: how often it occurred, and the first case."""
     frames = [reason for r in results if r.record is None for reason in r.skipped.values()]
     if frames:
         on_event(Warn(f"{len(frames)} of {len(results)} frames skipped; the first: {frames[0]}"))
@@ -229,7 +230,7 @@ def _require_usable(
     if blind:
         others = [sensor for sensor in sensors if sensor not in blind]
         advice = f"; leave it out with --sensors {' '.join(others)}" if others else ""
-        raise DataError(f"sensor {blind[0]} of {dataset} has no depth reading in any frame{advice}")
+        raise DataError(f"sensor {blind[0]} of {dataset} has no valid depth in any frame{advice}")
 
 
 def _manifest(
@@ -249,7 +250,8 @@ def _manifest(
 
 
 def _publish(run: RunDirectory, staging: RunDirectory, manifest: Manifest, records: Sequence[FrameRecord]) -> None:
-    """Put the new frames in the place of the old. The manifest comes first: without its stages, no half is trusted."""
+    """Replace the old frames by the new. The manifest, without stages, is written first: an interrupted replacement
+    is then recognised as unfinished."""
     run.save_manifest(manifest)
     with explain_write_errors(run.root):
         current, replaced = run.frames_path.parent, staging.root / "replaced"

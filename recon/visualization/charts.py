@@ -18,7 +18,7 @@ _DPI = 110
 
 @dataclass(frozen=True)
 class ColorScale:
-    """Values `low`..`high` (SI) as colours of a Matplotlib colour map; `factor` turns them into the unit of `label`."""
+    """Values `low`..`high` (SI) as colours of a Matplotlib colour map; `factor` converts to the unit of `label`."""
 
     label: str
     low: float
@@ -27,16 +27,16 @@ class ColorScale:
     factor: float = 1.0
 
     def paint(self, values: np.ndarray) -> np.ndarray:
-        """(...) values -> (..., 3) uint8 RGB; what is not finite becomes grey."""
+        """(...) values -> (..., 3) uint8 RGB; values that are not finite become grey."""
         import matplotlib
 
-        share = np.clip((np.nan_to_num(values) - self.low) / (self.high - self.low), 0, 1)
-        colors = (matplotlib.colormaps[self.colormap](share)[..., :3] * 255 + 0.5).astype(np.uint8)
+        ratio = np.clip((np.nan_to_num(values) - self.low) / (self.high - self.low), 0, 1)
+        colors = (matplotlib.colormaps[self.colormap](ratio)[..., :3] * 255 + 0.5).astype(np.uint8)
         colors[~np.isfinite(values)] = 160
         return colors
 
     def draw_bar(self, figure: Figure, **layout: object) -> None:
-        """A colour bar, placed by `layout` as `Figure.colorbar` takes it; its arrow stands for all larger values."""
+        """A colour bar; `layout` holds placement arguments of `Figure.colorbar`. Its arrow means all larger values."""
         from matplotlib.cm import ScalarMappable
         from matplotlib.colors import Normalize
 
@@ -46,7 +46,7 @@ class ColorScale:
 
 @dataclass(frozen=True)
 class Line:
-    """One curve of a chart: x (N,), y (N,); where y is not finite the line is broken."""
+    """One curve of a chart: x (N,), y (N,); the line has a gap where y is not finite."""
 
     name: str
     x: np.ndarray
@@ -66,14 +66,14 @@ def new_figure(width: float, height: float) -> Figure:
 
 
 def encode_figure(figure: Figure) -> bytes:
-    """PNG."""
+    """The figure as PNG."""
     stream = io.BytesIO()
     figure.savefig(stream, format="png", dpi=_DPI)
     return stream.getvalue()
 
 
 def show_picture(axes: Axes, picture: np.ndarray, title: str = "") -> None:
-    """A picture without ticks."""
+    """Show a picture without ticks."""
     axes.imshow(picture, interpolation="antialiased")
     axes.set_title(plain(title), fontsize=10)
     axes.set_xticks([])
@@ -83,7 +83,7 @@ def show_picture(axes: Axes, picture: np.ndarray, title: str = "") -> None:
 
 
 def picture_sheet(title: str, titles: Sequence[str], pictures: Sequence[np.ndarray], scale: ColorScale | None) -> bytes:
-    """Pictures (H, W, 3) two by two under a title, with a colour bar where their colours stand for a number; PNG."""
+    """Pictures (H, W, 3) in two columns under a title, with a colour bar if `scale` is given; PNG."""
     columns = min(2, len(pictures))
     rows = -(-len(pictures) // columns)
     height, width = pictures[0].shape[:2]
@@ -101,7 +101,7 @@ def picture_sheet(title: str, titles: Sequence[str], pictures: Sequence[np.ndarr
 
 
 def draw_lines(axes: Axes, lines: Sequence[Line], x_label: str, y_label: str, title: str = "") -> None:
-    """Curves with grid, labels and, where there are several, a legend."""
+    """Draw curves with grid, labels and, if there are several, a legend."""
     for line in lines:
         axes.plot(line.x, line.y, line.style, label=plain(line.name), color=line.color, linewidth=1.6, markersize=3.5)
     axes.set_xlabel(plain(x_label))
@@ -114,5 +114,5 @@ def draw_lines(axes: Axes, lines: Sequence[Line], x_label: str, y_label: str, ti
 
 
 def plain(text: str) -> str:
-    """Text that Matplotlib shows as it is: a dollar sign would start a formula, a leading underscore hides a label."""
+    """Escape text for Matplotlib, where a dollar sign starts a formula and a leading underscore hides a label."""
     return text.replace("$", r"\$").removeprefix("_")

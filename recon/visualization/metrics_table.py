@@ -1,4 +1,4 @@
-"""Nested JSON figures as table rows for people: units come from the names, as everywhere in the files of a run."""
+"""Nested JSON values as table rows: the unit of a value follows from the ending of its name."""
 
 from __future__ import annotations
 
@@ -6,8 +6,10 @@ import math
 from dataclasses import dataclass
 from typing import Any
 
+from ..core.number_format import format_grouped
+
 _RATIOS = {"precision", "recall", "f_score", "completeness", "coverage_50", "coverage_90", "ratio"} | {
-    "stated_coverage_50", "stated_coverage_90", "coverage_1_sigma", "coverage_2_sigma", "ause_gain",
+    "calibrated_coverage_50", "calibrated_coverage_90", "coverage_1_sigma", "coverage_2_sigma", "ause_gain",
 }  # fmt: skip
 _UNITS = (  # suffix of a name -> (factor, unit, digits)
     ("_rad_per_m", math.degrees(1.0), "°/m", 2),
@@ -27,7 +29,7 @@ _LONGEST_LIST = 8
 
 @dataclass(frozen=True)
 class Row:
-    """One figure: the group it stands in, its name, its value and its unit as text."""
+    """One value: its group, its name, the value and its unit as text."""
 
     group: str
     name: str
@@ -36,9 +38,9 @@ class Row:
 
 
 def metric_rows(metrics: Any, group: str = "", unit_key: str = "") -> list[Row]:
-    """Every number, word and short list of nested dictionaries, those of a group before its subgroups.
+    """Every number, word and short list of nested dictionaries; the values of a group stand before its subgroups.
 
-    Long lists (curves) are left out. A figure whose name has no unit takes that of `unit_key`, the name of its group:
+    Long lists (curves) are left out. A value whose name has no unit takes that of `unit_key`, the name of its group:
     `{"ate_m": {"rmse": 0.01}}` is in metres.
     """
     rows: list[Row] = []
@@ -55,7 +57,7 @@ def metric_rows(metrics: Any, group: str = "", unit_key: str = "") -> list[Row]:
 
 
 def with_unit(key: str, value: Any) -> tuple[str, str]:
-    """A value as text and its unit, found by the ending of its key: `_m` is shown in cm, ratios in %."""
+    """A value as text and its unit, by the ending of its key: `_m` is shown in cm, ratios in %."""
     if isinstance(value, list):
         texts = [with_unit(key, item) for item in value]
         return ", ".join(text for text, _ in texts), texts[0][1] if texts else ""
@@ -70,28 +72,23 @@ def with_unit(key: str, value: Any) -> tuple[str, str]:
     for suffix, factor, unit, digits in _UNITS:
         if key.endswith(suffix):
             return f"{value * factor:.{digits}f}", unit
-    return (grouped(value) if isinstance(value, int) else f"{value:.4g}"), ""
-
-
-def grouped(number: int) -> str:
-    """1234567 -> "1 234 567"."""
-    return f"{number:,}".replace(",", " ")
+    return (format_grouped(value) if isinstance(value, int) else f"{value:.4g}"), ""
 
 
 def readable(key: str) -> str:
-    """`accuracy_mean_m` -> `accuracy mean`: the unit stands in its own column."""
+    """`accuracy_mean_m` -> `accuracy mean`: the unit has its own column."""
     if key in _RATIOS:
         return key.replace("f_score", "F-score").replace("_", " ")
     return key.removesuffix(_unit_of(key)).replace("_", " ")
 
 
 def _unit_of(key: str) -> str:
-    """The suffix of a name that tells a unit, else nothing."""
+    """The suffix of a name that denotes a unit, else nothing."""
     return next((suffix for suffix, *_ in _UNITS if key.endswith(suffix)), "")
 
 
 def _named(items: Any) -> list[tuple[str, Any]]:
-    """The elements of a list of records, named by their threshold, else counted from 1."""
+    """The elements of a list of records, named by their threshold, else numbered from 1."""
     if not isinstance(items, list):
         return [("value", items)]
     names = []

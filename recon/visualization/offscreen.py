@@ -1,7 +1,7 @@
-"""Drawing a mesh with Open3D's OffscreenRenderer, in a process of its own.
+"""Drawing a mesh with Open3D's OffscreenRenderer, in a separate process.
 
-The renderer needs a Vulkan or EGL driver. Where there is none it may raise, abort the process or never answer, and
-where there is one it talks on the standard streams; in another process none of that can hurt.
+The renderer needs a Vulkan or EGL driver. Without one it may raise, abort the process or hang, and with one it writes
+to the standard streams; a separate process contains all of that.
 """
 
 from __future__ import annotations
@@ -27,9 +27,9 @@ from .shading import SUPERSAMPLING, Geometry, Layer, average_down, light_triangl
 from .views import View
 
 INSTALL_HINT = "sudo apt-get install -y libvulkan1 mesa-vulkan-drivers"
-_START_SECONDS = 120.0  # a loaded machine needs long to start a driver; only a hang takes all of it
-_SECONDS_PER_PICTURE = 4.0  # it takes 0.5 at 960 x 720 with a software driver
-_TRIANGLES_AT_ONCE = 2_000_000  # triangles that one process may hold, over all its pictures
+_START_SECONDS = 120.0  # time limit; starting a driver can be slow on a loaded machine
+_SECONDS_PER_PICTURE = 4.0  # time limit; 0.5 s is usual at 960 x 720 with a software driver
+_MAX_TRIANGLES = 2_000_000  # in one process, over all its pictures
 
 
 @cache
@@ -39,27 +39,27 @@ def is_available() -> bool:
     layer = Layer("probe", np.full((3, 3), 128, np.uint8), 0.0)
     view = View("probe", "probe", Camera(16, 16, 16.0, 16.0, 7.5, 7.5), np.eye(4), "nothing")
     try:
-        picture = _render_elsewhere(triangle, [layer], [view], _START_SECONDS)["probe"][0]
+        picture = _render_in_process(triangle, [layer], [view], _START_SECONDS)["probe"][0]
     except DependencyError:
         return False
-    return bool(abs(int(picture[8, 8, 0]) - 128) < 16)  # a driver that draws nothing, or in other colours, is no driver
+    return bool(abs(int(picture[8, 8, 0]) - 128) < 16)  # some drivers draw nothing, or wrong colours
 
 
 def render(geometry: Geometry, layers: Sequence[Layer], views: Sequence[View], on_event: OnEvent = ignore) -> Pictures:
     """Draw every layer from every view. Raises DependencyError where the renderer does not run."""
-    at_once = max(1, _TRIANGLES_AT_ONCE // max(1, len(geometry.faces) * len(layers)))
+    at_once = max(1, _MAX_TRIANGLES // max(1, len(geometry.faces) * len(layers)))
     seconds = _START_SECONDS + _SECONDS_PER_PICTURE * min(at_once, len(views)) * len(layers) * (
         1 + len(geometry.faces) / 1e6
     )
     pictures: Pictures = {layer.name: [] for layer in layers}
     batches = [views[start : start + at_once] for start in range(0, len(views), at_once)]
     for batch in track_progress(batches, len(batches), "snapshot", on_event, unit="batches"):
-        for name, drawn in _render_elsewhere(geometry, layers, batch, seconds).items():
-            pictures[name] += drawn
+        for name, batch_pictures in _render_in_process(geometry, layers, batch, seconds).items():
+            pictures[name] += batch_pictures
     return pictures
 
 
-def _render_elsewhere(geometry: Geometry, layers: Sequence[Layer], views: Sequence[View], seconds: float) -> Pictures:
+def _render_in_process(geometry: Geometry, layers: Sequence[Layer], views: Sequence[View], seconds: float) -> Pictures:
     with tempfile.TemporaryDirectory(prefix="uncle-snapshot-") as folder:
         job = Path(folder)
         np.savez(job / "geometry.npz", vertices=geometry.vertices, faces=geometry.faces)
@@ -101,11 +101,11 @@ def _last_line(stream: bytes) -> str:
     return lines[-1][:200] if lines else ""
 
 
-# --- the other process ------------------------------------------------------------------------------------------
+# --- the separate process ---------------------------------------------------------------------------------------
 
 
 def _work(job: Path) -> None:
-    """Draw what `_render_elsewhere` left in `job`."""
+    """Draw what `_render_in_process` left in `job`."""
     description = json.loads((job / "job.json").read_text())
     with np.load(job / "geometry.npz") as arrays:
         geometry = Geometry.build(arrays["vertices"], arrays["faces"])
@@ -116,8 +116,8 @@ def _work(job: Path) -> None:
         for row in description["views"]
     ]
     # All pictures are one geometry, uploaded once: each has its own copy of the triangles in the axes of its camera,
-    # set aside so far that no camera sees the next. With a software driver the renderer can wait for ever where
-    # geometries are added or removed one by one (seen with Open3D 0.20 and Mesa 22.3).
+    # shifted so far that no camera sees the next copy. With a software driver the renderer can hang if geometries are
+    # added or removed one by one (observed with Open3D 0.20 and Mesa 22.3).
     copies = [(index, layer) for index in range(len(views)) for layer in layers]
     reach = max(_farthest(view, geometry.vertices) for view in views)
     aside = np.array([reach * (1.1 + max(_half_width_tangent(view.camera) for view in views)), 0.0, 0.0])
@@ -153,7 +153,7 @@ def _open_renderer(camera: Camera):
 
 
 def _aim(renderer, camera: Camera, eye: np.ndarray, reach: float) -> None:
-    """Look along z from `eye` (3,), y down, as far as `reach` metres."""
+    """Point the renderer's camera along z from `eye` (3,), y down; the far plane is at about `reach` metres."""
     fine = camera.resized(camera.width * SUPERSAMPLING, camera.height * SUPERSAMPLING)
     intrinsic = fine.matrix
     intrinsic[:2, 2] += 0.5  # Open3D's renderer counts pixels from their corner
@@ -164,10 +164,10 @@ def _aim(renderer, camera: Camera, eye: np.ndarray, reach: float) -> None:
 
 
 def _upload(renderer, corners: np.ndarray, colors: np.ndarray) -> None:
-    """Hand over loose triangles: corners (3K, 3) painted with colors (3K, 3) 0..255."""
+    """Add separate triangles to the scene: corners (3K, 3) with colors (3K, 3) 0..255."""
     import open3d as o3d
 
-    if len(corners) == 0:  # an empty geometry is an error there; one degenerate triangle shows as little
+    if len(corners) == 0:  # Open3D rejects an empty geometry; a degenerate triangle is invisible
         corners, colors = np.zeros((3, 3)), np.zeros((3, 3))
     triangles = o3d.geometry.TriangleMesh()
     triangles.vertices = o3d.utility.Vector3dVector(corners.astype(np.float64))
@@ -181,4 +181,4 @@ def _upload(renderer, corners: np.ndarray, colors: np.ndarray) -> None:
 if __name__ == "__main__":
     _work(Path(sys.argv[1]))
     sys.stdout.flush()
-    os._exit(0)  # the pictures are written; tearing the renderer down can wait for ever too
+    os._exit(0)  # the pictures are written; destroying the renderer can hang

@@ -1,4 +1,4 @@
-"""Drawing a mesh with the CPU ray caster: works wherever Open3D can be imported."""
+"""Drawing a mesh with the CPU ray caster, which needs no graphics driver."""
 
 from __future__ import annotations
 

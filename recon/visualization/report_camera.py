@@ -1,4 +1,4 @@
-"""The camera of a run on its report: where it went, how well that is known, and where it was lost."""
+"""The camera section of a report: the path, its errors, and where tracking was lost."""
 
 from __future__ import annotations
 
@@ -13,10 +13,10 @@ from ..run.directory import RunDirectory
 from .trajectory_charts import draw_camera_path
 from .trajectory_table import Rows, tracking_rows, trajectory_rows
 
-_HEADER = ("Figure", "Value", "Unit")
+_HEADER = ("Metric", "Value", "Unit")
 _CAPTIONS = {
-    "trajectory": "The way of the camera. Equal axes; the estimate is aligned where the true way is known.",
-    "drift": "Errors grow where a tracker drifts; what it states of itself is honest where it follows the errors.",
+    "trajectory": "Path of the camera, with equal axes; the estimate is aligned where the true path is known.",
+    "drift": "Error over time, with the sigma that the tracker predicts.",
 }
 
 
@@ -30,7 +30,7 @@ def camera_section(run: RunDirectory) -> str:
     try:
         rows += trajectory_rows(score_trajectory(run))
     except DataError as error:
-        parts.append(missing(f"Not scored against a truth: {error}."))
+        parts.append(missing(f"Not scored: {error}."))
     rows += tracking_rows(tracking) if tracking is not None else []
     parts += [table(_HEADER, rows, numbers=(1,))] if rows else []
     try:

@@ -1,4 +1,4 @@
-"""The charts of a report: noise of the sensors, curves of the map stage, and how calibrated the uncertainty is."""
+"""The charts of a report: noise of the sensors, curves of the map stage, and calibration of the uncertainty."""
 
 from __future__ import annotations
 
@@ -21,9 +21,9 @@ def noise_chart(sensor: str, noise: SensorNoise) -> bytes:
     """Mean beta and mean true error against depth and incidence; PNG."""
     figure = new_figure(11.0, 3.4)
     left, right = figure.subplots(1, 2, sharey=True)
-    draw_lines(left, _noise_lines(noise.by_depth), "depth [m]", "[cm]", f"{sensor}: noise and depth")
+    draw_lines(left, _noise_lines(noise.by_depth), "depth [m]", "[cm]", f"{sensor}: noise against depth")
     if np.isfinite(noise.by_incidence.beta).any():
-        draw_lines(right, _noise_lines(noise.by_incidence), "incidence [°]", "", f"{sensor}: noise and slant")
+        draw_lines(right, _noise_lines(noise.by_incidence), "incidence [°]", "", f"{sensor}: noise against incidence")
     else:
         right.axis("off")
     left.set_ylim(bottom=0)
@@ -38,7 +38,7 @@ def _noise_lines(curve: NoiseCurve) -> list[Line]:
 
 
 def curves_chart(curves: Mapping[str, Any]) -> bytes | None:
-    """One small chart per curve of `curves.json`; what is no curve is left out; None if nothing is one; PNG."""
+    """One small chart per curve of `curves.json`; other entries are left out; None if none is left; PNG."""
     usable = {name: curve for name, curve in curves.items() if _is_curve(curve)}
     if not usable:
         return None
@@ -54,31 +54,33 @@ def curves_chart(curves: Mapping[str, Any]) -> bytes | None:
     return encode_figure(figure)
 
 
-def calibration_chart(sensor: str, curves: Mapping[str, Any]) -> bytes | None:
-    """Coverage, promised against met error, and sparsification of one sensor as `uncle eval` saved them; PNG."""
+def uncertainty_calibration_chart(sensor: str, curves: Mapping[str, Any]) -> bytes | None:
+    """Coverage, predicted against true error, and sparsification of one sensor, as `uncle eval` saved them; PNG."""
     names = ("nominal", "empirical", "bin_beta_m", "bin_error_m", "removed", "error_by_beta", "error_oracle")
     if not all(_is_numeric(curves.get(name)) for name in names):
         return None
     values = {name: _numbers(curves[name]) for name in names}
     figure = new_figure(11.0, 3.3)
     coverage, error, sparse = figure.subplots(1, 3)
-    percent, lengths = ("promised coverage [%]", "met coverage [%]"), ("beta [cm]", "mean true error [cm]")
+    percent, lengths = ("predicted coverage [%]", "empirical coverage [%]"), ("beta [cm]", "mean true error [cm]")
     _against_diagonal(coverage, values["nominal"] * 100, values["empirical"] * 100, *percent, f"{sensor}: intervals")
-    _against_diagonal(error, values["bin_beta_m"] * _CM, values["bin_error_m"] * _CM, *lengths, f"{sensor}: size")
+    _against_diagonal(error, values["bin_beta_m"] * _CM, values["bin_error_m"] * _CM, *lengths, f"{sensor}: scale")
     removed = values["removed"] * 100
     lines = [
-        Line("least trusted removed", removed, values["error_by_beta"], "-", _LEARNED),
-        Line("worst removed (best possible)", removed, values["error_oracle"], "--", _IDEAL),
+        Line("largest beta removed first", removed, values["error_by_beta"], "-", _LEARNED),
+        Line("largest error removed first (oracle)", removed, values["error_oracle"], "--", _IDEAL),
     ]
     if _is_numeric(curves.get("error_by_depth")):
         by_depth = _numbers(curves["error_by_depth"])
-        lines.insert(1, Line("by depth alone, fitted to the truth", removed, by_depth, ":", _DEPTH_ONLY))
-    draw_lines(sparse, lines, "readings removed [%]", "mean error left, relative", f"{sensor}: sparsification")
+        lines.insert(1, Line("best beta of depth alone", removed, by_depth, ":", _DEPTH_ONLY))
+    draw_lines(
+        sparse, lines, "measurements removed [%]", "mean error of the rest, relative", f"{sensor}: sparsification"
+    )
     return encode_figure(figure)
 
 
 def reliability_chart(curves: Mapping[str, Any]) -> bytes | None:
-    """Met against promised coverage of central intervals, one line for each name; None if nothing was scored; PNG.
+    """Empirical against predicted coverage of central intervals, one line for each name; None if there are none; PNG.
 
     `curves`: name -> `nominal` and `empirical`, as in `metrics.json` (`reliability_curves`).
     """
@@ -93,30 +95,33 @@ def reliability_chart(curves: Mapping[str, Any]) -> bytes | None:
     axes = figure.subplots()
     whole = np.array([0.0, 100.0])
     lines.append(Line("ideal", whole, whole, "--", _IDEAL))
-    draw_lines(axes, lines, "promised coverage [%]", "met coverage [%]", "below the diagonal: too sure")
+    draw_lines(axes, lines, "predicted coverage [%]", "empirical coverage [%]", "below the diagonal: overconfident")
     axes.set_aspect("equal")
     return encode_figure(figure)
 
 
 def reliability_curves(metrics: Mapping[str, Any]) -> dict[str, Any]:
-    """What `reliability_chart` draws of a `metrics.json`: the curves of every sensor and of the mesh's vertices."""
+    """The curves of every sensor and of the mesh's vertices in a `metrics.json`, for `reliability_chart`."""
     sensors, surface = metrics.get("uncertainty"), metrics.get("surface")
     vertex_sigma = surface.get("vertex_sigma") if isinstance(surface, dict) else None
     scored = {**(sensors if isinstance(sensors, dict) else {}), "vertices of the mesh": vertex_sigma}
-    return {name: found["curves"] for name, found in scored.items() if isinstance(found, dict) and "curves" in found}
+    return {
+        name: scores["curves"] for name, scores in scored.items() if isinstance(scores, dict) and "curves" in scores
+    }
 
 
 def vertex_sigma_chart(curves: Mapping[str, Any]) -> bytes | None:
-    """Coverage, and promised against met distance, of the sigma of vertices as `uncle eval` saved them; PNG."""
+    """Coverage, and sigma against true distance, of the vertices, as `uncle eval` saved them; PNG."""
     names = ("nominal", "empirical", "bin_sigma_m", "bin_distance_rms_m")
     if not all(_is_numeric(curves.get(name)) for name in names):
         return None
     nominal, empirical, sigma, distance = (_numbers(curves[name]) for name in names)
     figure = new_figure(8.0, 3.4)
     coverage, size = figure.subplots(1, 2)
-    percent, lengths = ("promised coverage [%]", "met coverage [%]"), ("sigma [cm]", "RMS distance to the truth [cm]")
+    percent = ("predicted coverage [%]", "empirical coverage [%]")
+    lengths = ("sigma [cm]", "RMS distance to the truth [cm]")
     _against_diagonal(coverage, nominal * 100, empirical * 100, *percent, "vertices: intervals")
-    _against_diagonal(size, sigma * _CM, distance * _CM, *lengths, "vertices: size")
+    _against_diagonal(size, sigma * _CM, distance * _CM, *lengths, "vertices: scale")
     return encode_figure(figure)
 
 
@@ -134,7 +139,7 @@ def _is_curve(value: Any) -> bool:
 
 
 def _is_numeric(values: Any) -> bool:
-    """A list of numbers, some of which may be unknown, but not all."""
+    """Whether this is a list of numbers, some of which may be unknown, but not all."""
     if not isinstance(values, list) or not all(isinstance(item, int | float | None) for item in values):
         return False
     return any(item is not None for item in values)

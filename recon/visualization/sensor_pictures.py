@@ -1,4 +1,4 @@
-"""What each sensor of a run sees and how far it is believed: colour, depth, beta and, where it is known, true error."""
+"""Pictures of each sensor of a run: colour, depth, beta and, where it is known, true error."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ _ROWS = 3
 
 @dataclass(frozen=True)
 class SensorScales:
-    """Scales that all sensors of a run share, so that their pictures can be compared; beta and error are one scale."""
+    """Colour scales that all sensors of a run share, so that pictures can be compared; beta and error share one."""
 
     depth: ColorScale
     error: ColorScale
@@ -34,24 +34,24 @@ def draw_sensors(
     sensors: Sequence[str] | None = None,
     frame: int | None = None,
 ) -> list[Path]:
-    """Write `out`/sensor_NAME.png for every sensor that has readings, or some `sensors`; returns the files.
+    """Write `out`/sensor_NAME.png for every sensor that has depth, or for `sensors`; returns the files.
 
-    Shown are a few frames, or the one of index `frame`. Raises RunError.
+    A few frames are shown, or only `frame`. Raises RunError.
     """
     frames = RunFrames(run)
-    found: dict[str, list[SensorFrame]] = {}
+    rows_by_sensor: dict[str, list[SensorFrame]] = {}
     for sensor in estimated_sensors(frames) if sensors is None else sensors:
-        shown = spread_frames(frames, sensor, _ROWS) if frame is None else [frame]
+        indices = spread_frames(frames, sensor, _ROWS) if frame is None else [frame]
         try:
-            found[sensor] = [read_sensor_frame(frames, index, sensor) for index in shown]
+            rows_by_sensor[sensor] = [read_sensor_frame(frames, index, sensor) for index in indices]
         except DataError as error:
             on_event(Warn(f"no picture of sensor {sensor}: {error}"))
-    found = {sensor: rows for sensor, rows in found.items() if rows}
-    if not found:
+    rows_by_sensor = {sensor: rows for sensor, rows in rows_by_sensor.items() if rows}
+    if not rows_by_sensor:
         return []
-    scales = common_scales([row for rows in found.values() for row in rows])
+    scales = common_scales([row for rows in rows_by_sensor.values() for row in rows])
     written = []
-    for sensor, rows in found.items():
+    for sensor, rows in rows_by_sensor.items():
         path = out / f"sensor_{sensor}.png"
         colors = [_color(frames, row.index, on_event) for row in rows]
         write_bytes(path, sensor_sheet(sensor, rows, colors, scales))
@@ -61,17 +61,18 @@ def draw_sensors(
 
 def common_scales(rows: list[SensorFrame]) -> SensorScales:
     """Depth up to its 99th percentile; beta and error up to the 95th of whichever is larger."""
-    unsure = [_percentile([getattr(row, name) for row in rows], 95) for name in ("beta", "error")]
+    highest_beta = _percentile([row.beta for row in rows], 95)
+    highest_error = _percentile([row.error for row in rows], 95)
     return SensorScales(
         ColorScale("depth [m]", 0.0, max(_percentile([row.depth for row in rows], 99), 0.1), "viridis"),
-        ColorScale("[cm]", 0.0, max(*unsure, 1e-3), "turbo", 100.0),
+        ColorScale("[cm]", 0.0, max(highest_beta, highest_error, 1e-3), "turbo", 100.0),
     )
 
 
 def sensor_sheet(sensor: str, rows: list[SensorFrame], colors: list[np.ndarray], scales: SensorScales) -> bytes:
-    """One row a frame, one column each for colour, depth, beta and true error, as far as they are known; PNG."""
+    """One row per frame, with columns for colour, depth, beta and true error as far as they are known; PNG."""
     columns = ["colour", "depth"]
-    columns += ["beta: learned scale"] if any(row.beta is not None for row in rows) else []
+    columns += ["beta (learned)"] if any(row.beta is not None for row in rows) else []
     columns += ["true error"] if any(row.error is not None for row in rows) else []
     height, width = rows[0].depth.shape
     cell = 3.3
@@ -103,14 +104,15 @@ def _color(frames: RunFrames, index: int, on_event: OnEvent) -> np.ndarray:
 def _panel(row: SensorFrame, column: str, scales: SensorScales) -> np.ndarray:
     if column == "depth":
         return _painted(row.depth, scales.depth)
-    return _painted(row.beta if column.startswith("beta") else row.error, scales.error, like=row.depth)
+    values = row.beta if column.startswith("beta") else row.error
+    return _painted(np.full(row.depth.shape, np.nan) if values is None else values, scales.error)
 
 
-def _painted(values: np.ndarray | None, scale: ColorScale, like: np.ndarray | None = None) -> np.ndarray:
-    known = values if values is not None else np.full(like.shape, np.nan)
-    return np.where(np.isfinite(known)[..., None], scale.paint(known), np.uint8(235))
+def _painted(values: np.ndarray, scale: ColorScale) -> np.ndarray:
+    """(H, W, 3) uint8; light grey where a value is unknown."""
+    return np.where(np.isfinite(values)[..., None], scale.paint(values), np.uint8(235))
 
 
-def _percentile(images: list[np.ndarray | None], share: float) -> float:
+def _percentile(images: list[np.ndarray | None], percent: float) -> float:
     values = np.concatenate([image[np.isfinite(image)] for image in images if image is not None] or [np.zeros(0)])
-    return float(np.percentile(values, share)) if len(values) else 0.0
+    return float(np.percentile(values, percent)) if len(values) else 0.0

@@ -1,6 +1,6 @@
-"""Colours of triangle corners as a viewer sees them: the part of drawing that both renderers share.
+"""Shading of triangles by the position of the viewer: the part of drawing that both renderers share.
 
-Light is baked into corner colours, so that a renderer only has to fill triangles and the two agree to the pixel.
+Light is baked into corner colours, so that a renderer only has to fill triangles and both give the same picture.
 """
 
 from __future__ import annotations
@@ -13,15 +13,15 @@ from .views import View
 
 SUPERSAMPLING = 2  # pictures are drawn this many times larger and averaged down
 BACKGROUND = 255
-_CREASE = np.cos(np.radians(40.0))  # sharper edges than this stay sharp
+_CREASE = np.cos(np.radians(40.0))  # edges sharper than this are not smoothed
 _SIDE_LIGHT = np.array([-0.06, -0.14, 0.0])  # camera axes: from the left and above, so that walls differ
 _AMBIENT, _DARKEST = 0.36, 0.22
-_SIDE_THICKNESS = 0.12  # share of the bounding box that counts as its wall
+_SIDE_THICKNESS_RATIO = 0.12  # triangles this close to a side of the bounding box, relative to its size, belong to it
 
 
 @dataclass(frozen=True)
 class Layer:
-    """One way to paint a mesh: colors (V, 3) uint8; `contrast` 0..1, how far light and shade may darken them."""
+    """Vertex colours of a mesh: colors (V, 3) uint8; `contrast` 0..1 is the strength of the shading."""
 
     name: str
     colors: np.ndarray
@@ -69,7 +69,7 @@ class LitTriangles:
 
 
 def light_triangles(geometry: Geometry, view: View) -> LitTriangles:
-    """Leave out what `view` cuts, turn the rest to the viewer and light it by a lamp at the camera."""
+    """Triangles that `view` does not cut away, oriented to the viewer and lit from the camera."""
     eye = view.T_world_camera[:3, 3].astype(np.float32)
     front = np.einsum("fx,fx->f", geometry.face_normals, geometry.vertices[geometry.faces[:, 0]] - eye) < 0
     if view.cut == "back":
@@ -89,10 +89,10 @@ def light_triangles(geometry: Geometry, view: View) -> LitTriangles:
 
 
 def _on_near_sides(geometry: Geometry, eye: np.ndarray) -> np.ndarray:
-    """(F,) triangles that lie along those sides of the bounding box that the viewer stands outside of."""
+    """(F,) bool: triangles along those sides of the bounding box that have the viewer on their outside."""
     corners = geometry.vertices[geometry.faces]
     low, high = geometry.vertices.min(0), geometry.vertices.max(0)
-    margin = _SIDE_THICKNESS * (high - low)
+    margin = _SIDE_THICKNESS_RATIO * (high - low)
     near_low = (corners < low + margin).all(1) & (eye < low)
     near_high = (corners > high - margin).all(1) & (eye > high)
     return (near_low | near_high).any(1)

@@ -1,4 +1,4 @@
-"""Charts of a camera: its way from two sides, and how its error, or what is stated of it, grows with time."""
+"""Charts of a camera: its path from two sides, and its error and predicted sigma over time."""
 
 from __future__ import annotations
 
@@ -8,22 +8,22 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ..core.files import write_bytes
-from ..evaluation.tracking_metrics import pose_covariances, record_rows, stated_sigmas
-from ..evaluation.trajectory_pair import CameraPath, finite_poses
+from ..evaluation.tracking_metrics import pose_covariances, predicted_sigmas, record_rows
+from ..evaluation.trajectory_pair import CameraPath
 from .charts import Line, draw_lines, encode_figure, new_figure
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 _TRUE, _ESTIMATE, _ALIGNED, _LOST = "#8a8f98", "#1f77b4", "#2ca02c", "#d62728"
-_BAND, _SIGMA = "#c9cdd3", "stated by the tracker, 1 sigma"
+_BAND, _SIGMA = "#c9cdd3", "1 sigma, predicted by the tracker"
 _STATUS_COLORS = {"weak": "#ff7f0e", "relocalised": "#9467bd"}
 _HEADROOM = 1.15
-_SIGMA_SHOWN = 3.0  # times the largest error; a larger sigma would press the errors flat
+_MAX_SIGMA_RATIO = 3.0  # the axis ends at this multiple of the largest error, so that the errors stay visible
 
 
 def draw_camera_path(path: CameraPath, out: Path) -> list[Path]:
-    """Write `out`/trajectory.png, and `out`/drift.png if there is a truth or a tracking record; returns the files.
+    """Write `out`/trajectory.png and, with true poses or a tracking record, `out`/drift.png; returns the files.
 
     Raises DataError if no pose is finite, RunError.
     """
@@ -39,18 +39,18 @@ def draw_camera_path(path: CameraPath, out: Path) -> list[Path]:
 def trajectory_chart(path: CameraPath) -> bytes:
     """The camera centres in the plane of the two largest extents and from its side, equal axes in metres; PNG.
 
-    With a truth the estimate is aligned to it. Raises DataError if no pose is finite.
+    The estimate is aligned to the true poses where they are known. Raises DataError if no pose is finite.
     """
     posed, matched = path.posed, path.matched
-    T = np.eye(4) if matched is None else matched.T_true_found
+    T = np.eye(4) if matched is None else matched.T_true_estimate
     centres = (T @ posed.T_world_camera)[:, :3, 3]
-    true = finite_poses(path.reference) if path.reference is not None and matched is not None else None
+    true = path.reference.finite() if path.reference is not None and matched is not None else None
     extent = np.ptp(centres if true is None else true.T_world_camera[:, :3, 3], axis=0)
     first, second, third = np.argsort(-extent, kind="stable")
     figure = new_figure(11.0, 5.2)
     for axes, pair, title in zip(
         figure.subplots(1, 2), ((first, second), (first, third)),
-        ("Camera, in the plane of its largest extent", "Camera, from the side"), strict=True,
+        ("Camera path, in the plane of its largest extent", "Camera path, from the side"), strict=True,
     ):  # fmt: skip
         lines = [] if true is None else [Line("true", *true.T_world_camera[:, pair, 3].T, "-", _TRUE)]
         x, y = _broken(posed.timestamps, centres, path.lost_spans).T[list(pair)]
@@ -65,14 +65,14 @@ def trajectory_chart(path: CameraPath) -> bytes:
 
 
 def drift_chart(path: CameraPath) -> bytes | None:
-    """Position and rotation error over time as they are and aligned, the stated sigma, and lost stretches; PNG.
+    """Position and rotation error over time, unaligned and aligned, predicted sigma, and lost frames; PNG.
 
-    Without a truth the stated sigma alone; None if there is neither. Raises DataError if no pose is finite.
+    Without true poses the predicted sigma alone; None if there is neither. Raises DataError if no pose is finite.
     """
     matched = path.matched
     sigmas = None
     if path.record is not None:
-        sigmas = stated_sigmas(pose_covariances(path.record, path.posed.timestamps))
+        sigmas = predicted_sigmas(pose_covariances(path.record, path.posed.timestamps))
     if matched is None and sigmas is None:
         return None
     figure = new_figure(11.0, 6.0)
@@ -81,12 +81,12 @@ def drift_chart(path: CameraPath) -> bytes | None:
         errors = {}
         if matched is not None:
             measure = matched.position_errors if panel == 0 else matched.rotation_errors
-            errors = {"as it is": measure(aligned=False), "aligned": measure(aligned=True)}
+            errors = {"unaligned": measure(aligned=False), "aligned": measure(aligned=True)}
         sigma = None if sigmas is None else sigmas[panel] * factors[panel]
         _draw_errors(axes, path, {name: values * factors[panel] for name, values in errors.items()}, sigma)
         axes.set_ylabel(names[panel])
     axes.set_xlabel("time [s]" if path.has_clock else "frame")
-    title = "Error over time" if matched is not None else "Expected error over time, as the tracker states it"
+    title = "Error over time" if matched is not None else "Predicted error over time"
     figure.suptitle(title, fontsize=12)
     return encode_figure(figure)
 
@@ -110,31 +110,31 @@ def _draw_errors(axes: Axes, path: CameraPath, errors: dict[str, np.ndarray], si
 
 
 def _over_time(path: CameraPath, times: np.ndarray, values: np.ndarray) -> np.ndarray:
-    """(2, N) times since the first frame and values, with breaks where the camera was lost."""
+    """(2, N) times since the first frame and values, with gaps where the camera was lost."""
     return _broken(times, np.column_stack([times - path.start_time, values]), path.lost_spans).T
 
 
 def _top(errors: list[np.ndarray], sigma: np.ndarray | None) -> float:
-    """The upper end of an axis of errors: everything is shown but sigmas far above the errors."""
+    """The upper end of an axis of errors: all errors are shown, sigmas up to a multiple of the largest error."""
     worst = max((float(values.max()) for values in errors), default=0.0)
     finite = np.zeros(1) if sigma is None else np.append(sigma[np.isfinite(sigma)], 0.0)
     usual = worst if errors and worst > 0 else float(np.quantile(finite, 0.9))
-    top = max(worst, min(float(finite.max()), _SIGMA_SHOWN * usual))
+    top = max(worst, min(float(finite.max()), _MAX_SIGMA_RATIO * usual))
     return _HEADROOM * top if top > 0 else 1.0
 
 
 def _broken(times: np.ndarray, rows: np.ndarray, spans: list[tuple[float, float]]) -> np.ndarray:
-    """`rows` (N, C) at increasing `times` (N,) with a row of NaN in every span, where a line through them must stop."""
+    """`rows` (N, C) at increasing `times` (N,) with a row of NaN in every span, so that a line has a gap there."""
     cuts = [int(np.searchsorted(times, 0.5 * (begin + end))) for begin, end in spans]
     return np.insert(rows.astype(float), cuts, np.nan, axis=0)
 
 
 def _lost_lines(path: CameraPath, centres: np.ndarray, true: np.ndarray | None) -> list[Line]:
-    """The true way of the lost stretches or, without a truth, straight lines between the poses around each."""
+    """The true path of the lost frames or, where it is unknown, straight lines between the poses around them."""
     pieces = []
     for begin, end in path.lost_spans:
         if true is not None and path.reference is not None:
-            times = finite_poses(path.reference).timestamps
+            times = path.reference.finite().timestamps
             pieces.append(true[(times >= begin - 1e-4) & (times <= end + 1e-4)])
         else:
             times = path.posed.timestamps

@@ -1,33 +1,33 @@
-"""Where to look at a mesh from: the cameras of its run, or around it; every picture is framed without being asked."""
+"""Viewpoints for pictures of a mesh: at the cameras of its run, or around it, framed automatically."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
 
 from ..core.camera import Camera
+from ..core.mesh import Mesh
+from ..core.mesh_raycaster import Surface
 
 DEFAULT_SIZE = (960, 720)
-_FILL = 0.47  # half of the picture that the scene may fill, as a share of its width or height
-_BACK_OFF = 0.4  # share of the median viewing distance by which a run's camera steps back, to show its surroundings
-_AXIS_SNAP = np.cos(np.radians(10.0))  # an up direction this close to a world axis is that axis
-
+_FILL_RATIO = 0.47  # half-extent of the scene in a picture, relative to the width or height
+_STEP_BACK_RATIO = 0.4  # a camera of the run steps back by this ratio of its median viewing distance
+_AXIS_SNAP = np.cos(np.radians(10.0))  # an up direction this close to a world axis is snapped to it
 
 Cut = Literal["back", "front", "near_sides", "nothing"]
 
 
 @dataclass(frozen=True)
 class View:
-    """A viewpoint. `name` is fit for a file name, `title` for people.
+    """A viewpoint. `name` is part of a file name, `title` is shown above the picture.
 
     camera           pinhole of the picture
     T_world_camera   (4, 4) float64, OpenCV axes
-    cut              what is left out so that a room shows its inside: triangles seen from behind (from the front,
-                     where the mesh is inside out), or, where it has no consistent front, walls and ceiling on the
-                     sides that the viewer stands on
+    cut              triangles that are left out so that the inside of a room is visible: "back": those seen from
+                     behind; "front": those seen from the front, for a mesh that is inside out; "near_sides": those on
+                     the sides of the bounding box that face the viewer, for a mesh without a consistent front
     """
 
     name: str
@@ -38,17 +38,17 @@ class View:
 
 
 def picture_camera(size: tuple[int, int], half_width_tangent: float) -> Camera:
-    """Centred pinhole; `half_width_tangent` = tan(horizontal field of view / 2), `size` = width, height in pixels."""
+    """Centred pinhole; `half_width_tangent` = tan(horizontal field of view / 2), `size` is in pixels."""
     width, height = size
     focal = 0.5 * width / half_width_tangent
     return Camera(width, height, focal, focal, (width - 1) / 2, (height - 1) / 2)
 
 
 def look_rotation(forward: np.ndarray, up: np.ndarray) -> np.ndarray:
-    """(3, 3) R_world_camera that looks along `forward` with `up` upwards in the picture (OpenCV axes)."""
+    """(3, 3) R_world_camera that faces along `forward` with `up` upwards in the picture (OpenCV axes)."""
     z = forward / np.linalg.norm(forward)
     x = np.cross(z, up)
-    if np.linalg.norm(x) < 1e-6:  # looking straight up or down: any horizontal direction will do
+    if np.linalg.norm(x) < 1e-6:  # `forward` is parallel to `up`: any horizontal direction is right
         x = np.cross(z, np.roll(up, 1) + 0.1)
     x /= np.linalg.norm(x)
     return np.column_stack([x, np.cross(z, x), z])
@@ -61,7 +61,7 @@ def framed_view(
     camera = picture_camera(size, half_width_tangent=0.5)
     rotation = look_rotation(forward, up)
     local = points @ rotation
-    limits = np.array([_FILL * camera.width / camera.fx, _FILL * camera.height / camera.fy])
+    limits = np.array([_FILL_RATIO * camera.width / camera.fx, _FILL_RATIO * camera.height / camera.fy])
     eye = np.array([*(local[:, :2].min(0) + local[:, :2].max(0)) / 2, 0.0])
     for _ in range(5):  # distance for this centre, then the centre of what is seen from that distance
         eye[2] = (local[:, 2, None] - np.abs(local[:, :2] - eye[:2]) / limits).min()
@@ -76,13 +76,13 @@ def framed_view(
 def mesh_views(
     vertices: np.ndarray, faces: np.ndarray, size: tuple[int, int] = DEFAULT_SIZE, up: np.ndarray | None = None
 ) -> list[View]:
-    """Three views around a mesh of which nothing else is known, and one from above.
+    """Three views around a mesh, and one from above, where no camera poses are known.
 
     vertices (V, 3) metres, faces (F, 3); `up` (3,) is guessed where it is None.
     """
     points = framing_points(vertices, faces)
     up = guess_up(vertices, faces) if up is None else up
-    cut: Cut = "near_sides" if _is_mixed(front_share(vertices, faces, *_rays_from_inside(points))) else "back"
+    cut: Cut = "near_sides" if _is_mixed(front_ratio(vertices, faces, *_rays_from_inside(points))) else "back"
     ahead, aside = horizontal_axes(up)
     views = []
     for angle in (40, 160, 280):
@@ -102,7 +102,7 @@ def run_views(
     size: tuple[int, int] = DEFAULT_SIZE,
     count: int = 3,
 ) -> list[View]:
-    """`count` cameras of a run, far apart and stepped back a little, and one overview from outside.
+    """`count` cameras of a run, far apart and stepped back, and one overview from outside.
 
     poses (N, 4, 4) T_world_camera, finite; vertices (V, 3) metres, faces (F, 3).
     """
@@ -114,17 +114,17 @@ def run_views(
         pose = poses[index].copy()
         depths = (points - pose[:3, 3]) @ pose[:3, 2]
         distance = np.median(depths[depths > 0]) if (depths > 0).any() else 0.0
-        pose[:3, 3] -= _BACK_OFF * distance * pose[:3, 2]
+        pose[:3, 3] -= _STEP_BACK_RATIO * distance * pose[:3, 2]
         views.append(View(f"frame_{index:06d}", f"from frame {index}", picture_camera(size, tangent), pose))
     forward = poses[:, :3, 2].mean(0)
-    forward -= (forward @ up) * up  # seen surfaces face the cameras, so look the way they looked, from further up
+    forward -= (forward @ up) * up  # seen surfaces face the cameras: keep their mean direction, from further up
     forward = forward / np.linalg.norm(forward) if np.linalg.norm(forward) > 0.05 else horizontal_axes(up)[0]
     downward = forward - 1.3 * up
-    share = front_share(vertices, faces, *_rays_of_cameras(poses, tangent))
-    if _is_mixed(share):
+    ratio = front_ratio(vertices, faces, *_rays_of_cameras(poses, tangent))
+    if _is_mixed(ratio):
         overview = framed_view("overview", "overview", points, downward, up, size)
         return [*(replace(view, cut="nothing") for view in views), replace(overview, cut="near_sides")]
-    inside_out = share < 0.5
+    inside_out = ratio < 0.5
     shown = framing_points(vertices, _front_faces(vertices, faces, -downward if inside_out else downward))
     views.append(framed_view("overview", "overview", shown, downward, up, size))
     return [replace(view, cut="front") for view in views] if inside_out else views
@@ -143,7 +143,7 @@ def spread_poses(poses: np.ndarray, count: int) -> list[int]:
 
 
 def trajectory_up(poses: np.ndarray) -> np.ndarray:
-    """(3,) up direction of hand-held poses (N, 4, 4): people keep the camera's x axis level."""
+    """(3,) up direction of hand-held poses (N, 4, 4), whose x axes are assumed level."""
     mean_up = -poses[:, :3, 1].mean(0)
     mean_up /= max(float(np.linalg.norm(mean_up)), 1e-9)
     rights = poses[:, :3, 0]
@@ -154,14 +154,14 @@ def trajectory_up(poses: np.ndarray) -> np.ndarray:
 
 
 def guess_up(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
-    """(3,) the world axis that most area of the mesh points to: floors and table tops look up; z wins ties."""
+    """(3,) the world axis that most area of the mesh faces, as floors and table tops do; z is preferred."""
     triangles = vertices[faces].astype(np.float64)
     areas = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
     sizes = np.linalg.norm(areas, axis=1)
     best, most = np.array([0.0, 0.0, 1.0]), 0.0
-    for axis, favour in ((2, 1.5), (1, 1.0)):  # nearly every tool and data set has z or y upright, z more often
+    for axis, preference in ((2, 1.5), (1, 1.0)):  # nearly every data set has z or y upright, z more often
         for sign in (1.0, -1.0):
-            total = favour * sizes[sign * areas[:, axis] > 0.9 * sizes].sum()
+            total = preference * sizes[sign * areas[:, axis] > 0.9 * sizes].sum()
             if total > 1.02 * most:
                 best, most = sign * np.eye(3)[axis], total
     return best
@@ -176,7 +176,7 @@ def horizontal_axes(up: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def framing_points(vertices: np.ndarray, faces: np.ndarray, limit: int = 20000) -> np.ndarray:
-    """(P, 3) surface points that a picture has to show; the outermost half percent on each side may be stray."""
+    """(P, 3) surface points that a picture has to show, without the outermost half per cent on each side (outliers)."""
     used = vertices[np.unique(faces)] if len(faces) else vertices
     points = used[:: max(1, len(used) // limit)].astype(np.float64)
     if len(points) < 1000:
@@ -186,12 +186,6 @@ def framing_points(vertices: np.ndarray, faces: np.ndarray, limit: int = 20000) 
     return points[((points >= low - margin) & (points <= high + margin)).all(1)]
 
 
-def finite_poses(poses: Sequence[np.ndarray | None]) -> np.ndarray:
-    """(N, 4, 4) the poses that exist and are finite."""
-    kept = [pose for pose in poses if pose is not None and np.isfinite(pose).all()]
-    return np.array(kept, dtype=np.float64).reshape(-1, 4, 4)
-
-
 def _snap(direction: np.ndarray) -> np.ndarray:
     axis = int(np.abs(direction).argmax())
     if abs(direction[axis]) < _AXIS_SNAP:
@@ -199,30 +193,25 @@ def _snap(direction: np.ndarray) -> np.ndarray:
     return np.sign(direction[axis]) * np.eye(3)[axis]
 
 
-def front_share(vertices: np.ndarray, faces: np.ndarray, origins: np.ndarray, directions: np.ndarray) -> float:
-    """Share of the rays (R, 3), among those that hit the mesh, that meet a triangle from its front."""
-    import open3d as o3d
-
-    scene = o3d.t.geometry.RaycastingScene()
-    scene.add_triangles(np.ascontiguousarray(vertices, np.float32), np.ascontiguousarray(faces, np.uint32))
-    rays = np.concatenate([np.broadcast_to(origins, directions.shape), directions], axis=1).astype(np.float32)
-    answer = scene.cast_rays(o3d.core.Tensor(rays))
-    hit = np.isfinite(answer["t_hit"].numpy())
+def front_ratio(vertices: np.ndarray, faces: np.ndarray, origins: np.ndarray, directions: np.ndarray) -> float:
+    """Ratio of the rays (R, 3), among those that hit the mesh, that hit a triangle from its front."""
+    hit, normals = Surface(Mesh(vertices, faces)).hit_normals(origins, directions)
     if not hit.any():
         return 1.0
-    return float((np.einsum("rx,rx->r", answer["primitive_normals"].numpy(), directions)[hit] < 0).mean())
+    return float((np.einsum("rx,rx->r", normals, directions)[hit] < 0).mean())
 
 
 def _front_faces(vertices: np.ndarray, faces: np.ndarray, forward: np.ndarray) -> np.ndarray:
-    """(K, 3) the faces whose front a viewer sees that looks along `forward`; all if there are none."""
+    """(K, 3) the faces seen from the front along `forward`; all if there are none."""
     corners = vertices[faces]
     normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     front = normals @ forward < 0
     return faces[front] if front.any() else faces
 
 
-def _is_mixed(share: float) -> bool:
-    return 0.2 < share < 0.8  # below: an object seen from its inside, whose outside is the front
+def _is_mixed(ratio: float) -> bool:
+    """Whether the mesh has no consistent front; a low ratio means that it is seen from behind everywhere."""
+    return 0.2 < ratio < 0.8
 
 
 def _rays_from_inside(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

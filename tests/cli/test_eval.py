@@ -100,7 +100,7 @@ def test_run_says_what_could_not_be_scored(run):
     run.mesh_path.unlink()
     result = uncle("--run", run.root, *FAST)
     assert result.exit_code == 0
-    assert "not scored: mesh: there is no mesh yet; run `uncle mesh" in result.stdout
+    assert "has no mesh; make it with `uncle mesh" in result.stdout
     assert "not scored: held out:" in result.stdout
 
 
@@ -120,7 +120,7 @@ def _empty_mesh(folder):
         (["mesh.ply"], 2, "give both MESH and GT"),
         (["mesh.ply", "gt.ply", "--cull", "nowhere"], 1, "holds no run"),
         (["--run", "nowhere"], 1, "holds no run"),
-        (["--cull", "nowhere"], 2, "--cull goes with MESH and GT"),
+        (["--cull", "nowhere"], 2, "--cull needs MESH and GT"),
         (["mesh.ply", "gt.ply", "--threshold", "0"], 2, "--threshold"),
         (["mesh.ply", "gt.ply", "--samples", "0"], 2, "--samples"),
     ],
@@ -156,13 +156,13 @@ def trajectories(tmp_path):
 def test_two_trajectories_as_table_and_pictures(trajectories, tmp_path):
     result = uncle(*trajectories, "--plot", tmp_path / "plots")
     assert result.exit_code == 0, result.output
-    for text in ("trajectory.txt against groundtruth.txt", "ATE aligned", "RPE translation over 1 s", "81 / 81"):
+    for text in ("trajectory.txt against groundtruth.txt", "ATE (aligned)", "RPE translation over 1 s", "81 / 81"):
         assert text in result.stdout
     rows = {line.split("│")[1].strip(): line.split("│")[2].strip() for line in result.stdout.splitlines()
             if line.startswith("│")}  # fmt: skip
-    assert rows["drift over 1 m of way, translation"] == rows["growth of the error with the way"] == "2.00"
-    assert rows["growth of the error with time"] == "1.000"
-    assert rows["length of the way"] == "4.00"
+    assert rows["drift over 1 m of path, translation"] == rows["error growth over the path"] == "2.00"
+    assert rows["error growth over time"] == "1.000"
+    assert rows["path length"] == "4.00"
     assert sorted(path.name for path in (tmp_path / "plots").iterdir()) == ["drift.png", "trajectory.png"]
 
 
@@ -187,10 +187,10 @@ def test_two_trajectories_as_json(trajectories, tmp_path):
         (["nan.txt", "groundtruth.txt"], 1, "no finite pose"),
         (["words.txt", "groundtruth.txt"], 1, "words.txt, line 2"),
         (["absent.txt", "groundtruth.txt"], 1, "absent.txt"),
-        (["trajectory.txt", "mesh.ply"], 2, "against a trajectory (.txt)"),
+        (["trajectory.txt", "mesh.ply"], 2, "give two trajectories (.txt) or two meshes"),
         (["trajectory.txt"], 2, "give both"),
-        (["trajectory.txt", "groundtruth.txt", "--cull", "nowhere"], 2, "go with meshes"),
-        (["mesh.ply", "mesh.ply", "--plot", "plots"], 2, "--plot goes with trajectories"),
+        (["trajectory.txt", "groundtruth.txt", "--cull", "nowhere"], 2, "are for meshes"),
+        (["mesh.ply", "mesh.ply", "--plot", "plots"], 2, "--plot is for trajectories"),
     ],
 )
 def test_mistakes_with_trajectories_end_in_one_line(trajectories, tmp_path, arguments, code, message):
@@ -217,7 +217,7 @@ def test_a_tracked_run_says_how_it_was_tracked(run):
     run.trajectory_path.write_text("# nothing\n")
     result = uncle("--run", run.root, *FAST)
     assert result.exit_code == 0, result.output
-    assert "the camera is not drawn" in result.stderr
+    assert "the trajectory is not drawn" in result.stderr
 
 
 def test_run_with_nothing_to_score(make_box_run):

@@ -57,7 +57,7 @@ def test_figures_are_those_of_the_sensor(run):
     found = json.loads(result.stdout)
     assert found["skipped"] == {}
     noisy = found["sensors"]["noisy"]
-    assert noisy["map_share"] == 0.25
+    assert noisy["weight_share"] == 0.25
     assert noisy["beta_at_m"]["2"] == pytest.approx(0.04, rel=0.1)
     assert noisy["beta_at_m"]["1"] is noisy["beta_at_m"]["5"] is None  # no wall is that near or far
     assert noisy["low_beta_m"] < noisy["median_beta_m"] < noisy["high_beta_m"]
@@ -100,7 +100,7 @@ def test_without_a_truth_there_are_no_scores(make_mappable_run):
     assert result.exit_code == 0, result.output
     noisy = json.loads(result.stdout)["sensors"]["noisy"]
     assert noisy["scores"] is None
-    assert noisy["map_share"] is None
+    assert noisy["weight_share"] is None
     assert not (run.snapshots_path / "calibration_noisy.png").exists()
     assert (run.snapshots_path / "noise_noisy.png").exists()
     assert "coverage" not in uncle("uncertainty", "--run", run.root).stdout
@@ -128,7 +128,7 @@ def test_map_learns_what_uncertainty_shows_and_the_next_map_starts_from(make_map
     run = make_mappable_run(angles=np.linspace(0, 2 * np.pi, 6, endpoint=False))
     assert uncle_map(run, "--sensors", "gt", "noisy").exit_code == 0
     found = json.loads(uncle("uncertainty", "--run", run.root, "--json").stdout)
-    assert 0 < found["sensors"]["noisy"]["map_share"] < 1
+    assert 0 < found["sensors"]["noisy"]["weight_share"] < 1
     earlier = tmp_path / "earlier"
     shutil.copytree(run.root, earlier)
     for prior in (earlier, earlier / "map" / "noise_model.pt"):

@@ -24,7 +24,8 @@ COSTS = (
 TRUST = (
     Metric("NLL nats", "nll_nats", 1, 3, -1), Metric("NLL constant", "nll_constant_nats", 1, 3, 0),
     Metric("50 % covers %", "coverage_50", 100, 1, 0), Metric("90 % covers %", "coverage_90", 100, 1, 0),
-    Metric("stated 50 %", "stated_coverage_50", 100, 1, 0), Metric("stated 90 %", "stated_coverage_90", 100, 1, 0),
+    Metric("calibrated 50 %", "calibrated_coverage_50", 100, 1, 0),
+    Metric("calibrated 90 %", "calibrated_coverage_90", 100, 1, 0),
     Metric("AUSE", "ause", 1, 3, -1), Metric("rank corr.", "rank_correlation", 1, 3, 1),
     Metric("closer than depth alone %", "ause_gain", 100, 1, 1),
 )  # fmt: skip

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from uncle.recon.core.errors import DataError
 from uncle.recon.core.mesh import Mesh
-from uncle.recon.evaluation.color_metrics import MIN_SQUARE, held_out_color
+from uncle.recon.evaluation.color_metrics import MIN_SQUARED_ERROR, held_out_color
 
 
 def painted(mesh: Mesh, colors: np.ndarray) -> Mesh:
@@ -46,7 +46,7 @@ def test_mean_of_the_frames_is_that_of_their_decibels(box_room):
 def test_the_same_colours_have_the_decibels_of_rounding(box_room):
     mesh, shown = painted(box_room.mesh(), np.array([7, 8, 9])), np.full((120, 160, 3), (7, 8, 9), np.uint8)
     metrics = held_out_color(mesh, box_room.camera, [(box_room.pose(0.0), shown)])
-    assert metrics.psnr_db == pytest.approx(-10 * np.log10(MIN_SQUARE))
+    assert metrics.psnr_db == pytest.approx(-10 * np.log10(MIN_SQUARED_ERROR))
 
 
 def test_what_the_mesh_lacks_is_stated(box_room):

@@ -6,7 +6,7 @@ from uncle.recon.core.errors import DataError
 from uncle.recon.core.mesh import Mesh
 from uncle.recon.core.mesh_raycaster import Surface, sample_surface
 from uncle.recon.evaluation.depth_metrics import (
-    PAPER_CAMERA,
+    NEW_VIEW_PARAMETERS,
     ViewSettings,
     centre_box,
     held_out_depth,
@@ -17,6 +17,7 @@ from uncle.recon.evaluation.depth_metrics import (
 from uncle.recon.evaluation.mesh_metrics import near_to
 
 VIEWS = ViewSettings(views=20)
+PAPER_CAMERA = NEW_VIEW_PARAMETERS["paper"].camera
 EMPTY = Mesh(np.zeros((0, 3), np.float32), np.zeros((0, 3), np.int32))
 
 
@@ -86,7 +87,7 @@ def test_paper_protocol_compares_every_pixel_of_views_without_unseen_parts(box_r
     settings = ViewSettings(views=2, protocol="paper")
     metrics = novel_view_depth(box_room.mesh(0.01), box_room.mesh(), settings)
     assert (metrics.width, metrics.height, metrics.views) == (500, 500, 2)
-    assert settings.camera == PAPER_CAMERA
+    assert settings.parameters.camera == PAPER_CAMERA
     assert 0.01 <= metrics.l1_all_m < 0.02
     mesh = box_room.mesh()
     seen = sample_surface(Mesh(mesh.vertices, mesh.faces[:-2]), 200_000, np.random.default_rng(0))
@@ -158,7 +159,7 @@ def test_held_out_depth_of_a_wall_behind_the_readings(box_room):
     metrics = held_out_depth(mesh, box_room.camera, [(pose, half)] * 2, "sl")
     assert metrics.l1_m == pytest.approx(0.03, abs=1e-5)
     assert metrics.median_m == pytest.approx(0.03, abs=1e-5)
-    assert (metrics.frames, metrics.readings, metrics.completeness) == (2, 2 * 80 * 120, 1.0)
+    assert (metrics.frames, metrics.measurements, metrics.completeness) == (2, 2 * 80 * 120, 1.0)
 
 
 def test_held_out_depth_states_what_the_mesh_lacks(box_room):
@@ -170,4 +171,4 @@ def test_held_out_depth_states_what_the_mesh_lacks(box_room):
     nothing = held_out_depth(EMPTY, box_room.camera, frames, "sl")
     assert (nothing.l1_m, nothing.median_m, nothing.completeness) == (None, None, 0.0)
     unread = held_out_depth(mesh, box_room.camera, [], "sl")
-    assert (unread.l1_m, unread.frames, unread.readings) == (None, 0, 0)
+    assert (unread.l1_m, unread.frames, unread.measurements) == (None, 0, 0)

@@ -11,10 +11,10 @@ from uncle.recon.evaluation.mesh_metrics import (
     align_by_icp,
     color_by_distance,
     evaluate_mesh,
-    moved,
     nearest_distance,
     score_at,
     standard_distances,
+    transformed,
 )
 
 EMPTY = Mesh(np.zeros((0, 3), dtype="float32"), np.zeros((0, 3), dtype="int32"))
@@ -66,7 +66,7 @@ def test_recall_to_sparse_samples_suffers_and_to_the_surface_does_not():
 
 def test_agrees_with_open3d_compute_metrics():
     mesh, reference = sphere(1.0), as_mesh(o3d.geometry.TriangleMesh.create_box(1.5, 1.5, 1.5))
-    reference = moved(reference, np.array([[1, 0, 0, -0.75], [0, 1, 0, -0.75], [0, 0, 1, -0.75], [0, 0, 0, 1.0]]))
+    reference = transformed(reference, np.array([[1, 0, 0, -0.75], [0, 1, 0, -0.75], [0, 0, 1, -0.75], [0, 0, 0, 1.0]]))
     ours = evaluate_mesh(mesh, reference, thresholds_m=(0.2,), samples=100_000, completeness_to="surface")
     tensors = [
         o3d.t.geometry.TriangleMesh(o3d.core.Tensor(m.vertices), o3d.core.Tensor(m.faces)) for m in (mesh, reference)
@@ -107,8 +107,8 @@ def test_icp_undoes_a_small_motion_and_reports_it():
     reference = as_mesh(o3d.geometry.TriangleMesh.create_box(1, 2, 3).subdivide_midpoint(4))
     shift = np.eye(4)
     shift[:3, 3] = [0.03, -0.02, 0.01]
-    plain = evaluate_mesh(moved(reference, shift), reference, samples=5000, completeness_to="surface")
-    aligned = evaluate_mesh(moved(reference, shift), reference, samples=5000, completeness_to="surface", icp=True)
+    plain = evaluate_mesh(transformed(reference, shift), reference, samples=5000, completeness_to="surface")
+    aligned = evaluate_mesh(transformed(reference, shift), reference, samples=5000, completeness_to="surface", icp=True)
     assert plain.accuracy_mean_m > 0.01
     assert aligned.accuracy_mean_m < 1e-3
     assert aligned.settings.icp
@@ -119,7 +119,7 @@ def test_icp_undoes_a_small_motion_and_reports_it():
 def test_paper_protocol_scores_vertices_and_aligns():
     """A plate with almost all vertices in its wrong half: area says 50 %, vertices say almost nothing is right."""
     dense_far = as_mesh(o3d.geometry.TriangleMesh.create_box(1, 1, 1e-3).subdivide_midpoint(5))
-    far = moved(dense_far, np.array([[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 1.0], [0, 0, 0, 1]]))
+    far = transformed(dense_far, np.array([[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 1.0], [0, 0, 0, 1]]))
     near = plate(1.0)
     both = Mesh(np.vstack([near.vertices, far.vertices]), np.vstack([near.faces, far.faces + 4]).astype("int32"))
     paper = evaluate_mesh(both, plate(1.0), thresholds_m=(0.05,), protocol="paper", icp=False)

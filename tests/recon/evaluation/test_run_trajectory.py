@@ -7,8 +7,9 @@ import pytest
 from uncle.recon.core.errors import DataError, RunError
 from uncle.recon.core.json_values import to_plain
 from uncle.recon.core.trajectory import Trajectory
-from uncle.recon.evaluation.run_metrics import EvalSettings, evaluate_run
+from uncle.recon.evaluation.run_metrics import score_run
 from uncle.recon.evaluation.run_trajectory import score_tracking, score_trajectory
+from uncle.recon.evaluation.surface_metrics import EvaluationSettings
 from uncle.recon.run.tracking_record import TrackedFrame, TrackingRecord
 from uncle.recon.visualization.report_camera import camera_section
 
@@ -35,7 +36,7 @@ def tracked_run(make_box_run):
 
 
 def test_a_tracked_run_is_scored(tracked_run):
-    metrics = evaluate_run(tracked_run, EvalSettings(views=0))
+    metrics = score_run(tracked_run, EvaluationSettings(views=0))
     assert metrics.trajectory.completeness == 0.75
     assert metrics.trajectory.ate_m.rmse == pytest.approx(0.03, abs=1e-6)
     assert metrics.tracking.statuses["lost"].frames == 3
@@ -48,14 +49,14 @@ def test_a_tracked_run_is_scored(tracked_run):
 
 def test_given_poses_have_no_tracking_and_no_reason_why(tracked_run):
     tracked_run.tracking_path.unlink()
-    metrics = evaluate_run(tracked_run, EvalSettings(views=0))
+    metrics = score_run(tracked_run, EvaluationSettings(views=0))
     assert metrics.tracking is None
     assert "tracking" not in metrics.skipped
 
 
 def test_a_tracker_without_error_is_not_taken_for_given_poses(tracked_run):
     tracked_run.trajectory_path.write_bytes(tracked_run.reference_trajectory_path.read_bytes())
-    assert evaluate_run(tracked_run, EvalSettings(views=0)).notes == ()
+    assert score_run(tracked_run, EvaluationSettings(views=0)).notes == ()
 
 
 def test_held_out_frames_without_a_pose_are_not_missed(tracked_run):
@@ -65,7 +66,7 @@ def test_held_out_frames_without_a_pose_are_not_missed(tracked_run):
 
 def test_without_truth_the_tracker_is_still_counted(tracked_run):
     tracked_run.reference_trajectory_path.unlink()
-    metrics = evaluate_run(tracked_run, EvalSettings(views=0))
+    metrics = score_run(tracked_run, EvaluationSettings(views=0))
     assert metrics.trajectory is None
     assert metrics.tracking.statuses["tracked"].frames == 9
     assert metrics.tracking.since_start is None
@@ -90,7 +91,7 @@ def test_everything_lost(tracked_run):
 
 def test_a_broken_record_costs_its_part_only(tracked_run):
     tracked_run.tracking_path.write_text('{"frames": [{"index": 0}]}')
-    metrics = evaluate_run(tracked_run, EvalSettings(views=0))
+    metrics = score_run(tracked_run, EvaluationSettings(views=0))
     assert metrics.tracking is None
     assert metrics.trajectory.completeness == 0.75
     assert "tracking.json" in metrics.skipped["tracking"]

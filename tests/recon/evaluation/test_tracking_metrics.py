@@ -9,8 +9,8 @@ from uncle.recon.evaluation.tracking_metrics import (
     evaluate_tracking,
     normalised_errors,
     pose_covariances,
+    predicted_sigmas,
     rows_at,
-    stated_sigmas,
 )
 from uncle.recon.evaluation.trajectory_metrics import MatchedPoses
 from uncle.recon.run.tracking_record import TrackedFrame, TrackingRecord
@@ -62,7 +62,7 @@ def test_drift_shows_since_the_start_and_not_between_frames():
     record, matched = tracked()
     drift = np.zeros((len(matched), 6))
     drift[:, 0] = 1e-4 * np.arange(len(matched))  # up to 20 sigmas of the map as a whole
-    moved = MatchedPoses(matched.timestamps, exponential(drift) @ matched.found, matched.true)
+    moved = MatchedPoses(matched.timestamps, exponential(drift) @ matched.estimate, matched.true)
     metrics = evaluate_tracking(record, moved)
     assert metrics.since_start.sigma_factor > 2
     assert metrics.between_frames.sigma_factor == pytest.approx(1.0, abs=0.05)
@@ -128,7 +128,7 @@ def test_frames_are_found_by_time_even_at_epoch_and_out_of_order():
 
 def test_sigmas_are_of_the_whole_vector():
     record, matched = tracked(3)
-    position, rotation = stated_sigmas(pose_covariances(record, np.append(matched.timestamps, 9.0)))
+    position, rotation = predicted_sigmas(pose_covariances(record, np.append(matched.timestamps, 9.0)))
     np.testing.assert_allclose(position[1:3], np.linalg.norm(SIGMAS[:3]))
     np.testing.assert_allclose(rotation[1:3], np.linalg.norm(SIGMAS[3:]))
     assert np.isnan(position[3])

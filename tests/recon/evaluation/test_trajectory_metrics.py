@@ -7,11 +7,11 @@ from uncle.recon.core.errors import DataError
 from uncle.recon.core.trajectory import Trajectory
 from uncle.recon.evaluation.trajectory_metrics import (
     MatchedPoses,
+    TrajectoryParameters,
     associate,
     evaluate_trajectory,
     has_clock,
     pairs_after,
-    relative_errors,
     rigid_alignment,
 )
 
@@ -182,9 +182,12 @@ def test_relative_errors_over_several_frames(motion):
     drift = walk()
     for index in range(len(drift)):
         drift.T_world_camera[index, 2, 3] += 0.01 * index
-    translation, rotation = relative_errors(drift.T_world_camera, walk().T_world_camera, 5)
-    np.testing.assert_allclose(translation, 0.05, atol=1e-9)
-    np.testing.assert_allclose(rotation, 0.0, atol=1e-7)
+    metrics = evaluate_trajectory(drift, walk(), TrajectoryParameters(rpe_delta_frames=5))
+    translation, rotation = metrics.rpe_translation_m, metrics.rpe_rotation_rad
+    for statistic in ("mean", "median", "max"):
+        assert getattr(translation, statistic) == pytest.approx(0.05, abs=1e-9)
+    assert rotation.max == pytest.approx(0.0, abs=1e-7)
+    assert metrics.rpe_delta_frames == 5
     assert evaluate_trajectory(walk(1), walk(1)).rpe_translation_m is None
 
 

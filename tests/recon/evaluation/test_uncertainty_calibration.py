@@ -79,10 +79,10 @@ def test_sparsification_of_four_readings_by_hand():
 
 
 def test_thinning_is_seeded_and_stated(laplace):
-    first, again, other = (evaluate_uncertainty(*laplace, max_readings=5000, seed=seed) for seed in (1, 1, 2))
+    first, again, other = (evaluate_uncertainty(*laplace, max_measurements=5000, seed=seed) for seed in (1, 1, 2))
     assert first == again
     assert first.nll_nats != other.nll_nats
-    assert (first.readings, first.scored_readings) == (COUNT, 5000)
+    assert (first.measurements, first.scored_measurements) == (COUNT, 5000)
     assert first.coverage_50 == pytest.approx(0.5, abs=0.03)
 
 

@@ -9,20 +9,20 @@ import torch
 from uncle.recon.core.camera import project_into
 from uncle.recon.core.errors import DataError, RunError
 from uncle.recon.core.mesh_raycaster import Surface
-from uncle.recon.evaluation.visibility import Visibility, voxel_means
+from uncle.recon.evaluation.visibility import Visibility, VisibilityParameters, voxel_means
 from uncle.recon.run.directory import RunDirectory
 
 
 def test_all_around_sees_the_walls_and_nothing_behind_them(make_box_run):
     visibility = Visibility.of_run(make_box_run())
     points = np.array([[2.0, 1.5, 1.2], [3.99, 1.5, 1.2], [4.15, 1.5, 1.2], [4.25, 1.5, 1.2], [2.0, -0.5, 1.2]])
-    np.testing.assert_array_equal(visibility.seen(points), [True, True, True, False, False])
+    np.testing.assert_array_equal(visibility.is_visible(points), [True, True, True, False, False])
 
 
 def test_one_view_sees_its_side_only(make_box_run):
     visibility = Visibility.of_run(make_box_run(angles=np.array([0.0])))
     points = np.array([[3.9, 1.5, 1.2], [0.1, 1.5, 1.2], [3.9, 1.5, 2.4]])
-    np.testing.assert_array_equal(visibility.seen(points), [True, False, True])
+    np.testing.assert_array_equal(visibility.is_visible(points), [True, False, True])
     reference = visibility.reference_points(None)
     assert reference[:, 0].min() > 1.6  # the camera stands at x = 1.6 and looks along x
 
@@ -46,7 +46,7 @@ def test_ground_truth_alone_decides_where_it_exists(make_box_run):
 def test_many_frames_are_thinned_evenly(make_box_run):
     run = make_box_run(angles=np.linspace(0, 6, 80))
     assert Visibility.of_run(run).indices == tuple(range(0, 80, 2))
-    assert Visibility.of_run(run, max_frames=20).indices == tuple(range(0, 80, 4))
+    assert Visibility.of_run(run, VisibilityParameters(max_frames=20)).indices == tuple(range(0, 80, 4))
 
 
 def test_a_run_without_poses_cannot_cull(make_box_run):
@@ -73,7 +73,7 @@ def test_projection_agrees_with_the_camera(box_room):
     assert 0 < len(inside) < 500
 
 
-def test_voxel_means_keeps_one_point_per_cube():
+def test_voxel_means_keeps_one_point_per_voxel():
     points = np.random.default_rng(0).uniform(-1, 1, (2000, 3))
     means = voxel_means(points, 0.3)
     oracle = o3d.geometry.PointCloud(o3d.utility.Vector3dVector(points)).voxel_down_sample(0.3)

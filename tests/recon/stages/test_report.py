@@ -8,15 +8,15 @@ import numpy as np
 import pytest
 from uncle.recon.core.errors import RunError
 from uncle.recon.core.files import write_image, write_text
-from uncle.recon.evaluation.noise_curves import incidence_angle, sensor_noise
+from uncle.recon.evaluation.noise_curves import collect_beta_samples, incidence_angle, noise_curves
 from uncle.recon.run.directory import RunDirectory
 from uncle.recon.run.frames import RunFrames, encode_normals
-from uncle.recon.stages.report import write_report
+from uncle.recon.stages.report import report_run
 from uncle.recon.visualization.metrics_table import metric_rows
 from uncle.recon.visualization.report_charts import (
-    calibration_chart,
     reliability_chart,
     reliability_curves,
+    uncertainty_calibration_chart,
     vertex_sigma_chart,
 )
 
@@ -52,7 +52,7 @@ def full_run(make_box_run, box_room):
 
 @pytest.fixture
 def page(full_run):
-    return write_report(full_run, "raycast").read_text()
+    return report_run(full_run, "raycast").read_text()
 
 
 def test_page_needs_nothing_else(page):
@@ -88,25 +88,25 @@ def test_charts_of_calibration_need_whole_curves():
     assert vertex_sigma_chart(curves) is None
     names = ("bin_beta_m", "bin_error_m", "removed", "error_by_beta", "error_oracle")
     whole = {name: [0.1, 0.2] for name in names}
-    plain = calibration_chart("sl", curves | whole)
-    assert calibration_chart("sl", curves | whole | {"error_by_depth": []}) == plain
-    assert calibration_chart("sl", curves | whole | {"error_by_depth": [0.3, 0.1]}) != plain
+    plain = uncertainty_calibration_chart("sl", curves | whole)
+    assert uncertainty_calibration_chart("sl", curves | whole | {"error_by_depth": []}) == plain
+    assert uncertainty_calibration_chart("sl", curves | whole | {"error_by_depth": [0.3, 0.1]}) != plain
 
 
 def test_calibration_is_shown_for_the_mesh_and_for_all_together(full_run):
     curves = {"nominal": [0.5, 0.9], "empirical": [0.4, 0.8], "bin_sigma_m": [0.1], "bin_distance_rms_m": [0.1]}
     scores = {"surface": {"vertex_sigma": {"curves": curves}}, "uncertainty": {"noisy": {"curves": curves}}}
     write_text(full_run.metrics_path, json.dumps(scores))
-    page = write_report(full_run, "raycast").read_text()
-    for caption in ("The sigma of the vertices against", "Reliability of all that states an uncertainty"):
+    page = report_run(full_run, "raycast").read_text()
+    for caption in ("Sigma of the vertices against", "Reliability diagram"):
         assert page.count(f"<figcaption>{caption}") == 1
 
 
 def test_sensors_are_set_side_by_side(full_run):
-    assert 'share in the map</td><td class="number">-</td>' in write_report(full_run, "raycast").read_text()
+    assert 'weight share</td><td class="number">-</td>' in report_run(full_run, "raycast").read_text()
     full_run.finish_stage("map", "0", time.time(), {"sensor_weight_share": {"noisy": 0.625}})
-    page = write_report(full_run, "raycast").read_text()
-    assert 'share in the map</td><td class="number">62.5</td><td>%</td>' in page
+    page = report_run(full_run, "raycast").read_text()
+    assert 'weight share</td><td class="number">62.5</td><td>%</td>' in page
     assert re.search(r"beta at 2 m</td><td class=\"number\">(3\.9|4\.[01])\d</td><td>cm</td>", page)
 
 
@@ -119,7 +119,7 @@ def test_missing_parts_name_their_commands(make_box_run):
     run = make_box_run(angles=np.linspace(0, 4, 2))
     for path in (run.root / "beta" / "noisy").glob("*.png"):
         path.unlink()
-    page = write_report(run, "raycast").read_text()
+    page = report_run(run, "raycast").read_text()
     for title in SECTIONS:
         assert f">{title}</h2>" in page
     for command in ("uncle map", "uncle mesh", "uncle eval"):
@@ -131,7 +131,7 @@ def test_broken_parts_cost_their_section_only(full_run):
     full_run.metrics_path.write_text("{")
     full_run.curves_path.write_text("[1]")
     events = []
-    page = write_report(full_run, "raycast", events.append).read_text()
+    page = report_run(full_run, "raycast", events.append).read_text()
     assert "no triangles" in page
     assert "uncle eval" in page
     assert any("no triangles" in getattr(event, "text", "") for event in events)
@@ -139,12 +139,14 @@ def test_broken_parts_cost_their_section_only(full_run):
 
 def test_no_run_is_an_error(tmp_path):
     with pytest.raises(RunError, match="uncle preprocess"):
-        write_report(RunDirectory(tmp_path))
+        report_run(RunDirectory(tmp_path))
 
 
 def test_noise_curve_is_that_of_the_sensor(make_box_run):
     """The sensor's Laplace scale is 1 % of depth squared, and its beta maps say so."""
-    noise = sensor_noise(RunFrames(make_box_run()), "noisy").by_depth
+    samples = collect_beta_samples(RunFrames(make_box_run()), "noisy")
+    assert samples is not None
+    noise = noise_curves(samples).by_depth
     known = np.isfinite(noise.beta) & (noise.x > 1.0)
     assert known.sum() >= 4
     np.testing.assert_allclose(noise.beta[known], 0.01 * noise.x[known] ** 2, rtol=0.1)

@@ -4,18 +4,16 @@ import numpy as np
 import pytest
 from matplotlib import colormaps
 from uncle.recon.core.camera import Camera
-from uncle.recon.core.errors import ConfigError, DataError, DependencyError, RunError
+from uncle.recon.core.errors import ConfigError, DataError, DependencyError
 from uncle.recon.core.events import Note, Warn
 from uncle.recon.core.mesh import Mesh
-from uncle.recon.run.directory import RunDirectory
+from uncle.recon.core.mesh_raycaster import Surface
 from uncle.recon.visualization import mesh_pictures as snapshot
 from uncle.recon.visualization import offscreen
 from uncle.recon.visualization.mesh_pictures import (
     RENDERERS,
     draw_mesh,
-    load_run_mesh,
     snapshot_views,
-    surface_distance,
 )
 from uncle.recon.visualization.shading import Geometry, light_triangles
 from uncle.recon.visualization.views import View, guess_up, mesh_views, run_views, spread_poses, trajectory_up
@@ -98,7 +96,7 @@ def test_mesh_that_is_inside_out_is_shown_all_the_same(box_room, inward, cut):
 
 def test_error_picture_shows_the_colour_of_two_centimetres(renderer):
     mesh, truth = box((0, 0, 2.0), 0.25), box((0, 0, 2.02), 0.25)
-    np.testing.assert_allclose(surface_distance(np.array([[0, 0, 1.75]]), truth), 0.02, atol=1e-5)
+    np.testing.assert_allclose(Surface(truth).distance(np.array([[0, 0, 1.75]])), 0.02, atol=1e-5)
     image = picture(mesh, "error", renderer, reference=truth)
     expected = np.array(colormaps["RdYlBu_r"](0.02 / 0.05)[:3]) * 255
     np.testing.assert_allclose(image[60, 80], expected, atol=3)
@@ -168,20 +166,13 @@ def test_poses_are_spread(box_room):
     assert spread_poses(poses[:1], 3) == [0]
 
 
-def test_what_is_missing_is_named(tmp_path):
+def test_what_is_missing_is_named():
     plain = Mesh(*(getattr(box((0, 0, 2), 1), name) for name in ("vertices", "faces")))
     for mode, word in (("color", "colours"), ("sigma", "uncle mesh"), ("error", "--gt")):
         with pytest.raises(DataError, match=word):
             draw_mesh(plain, [looking_ahead()], [mode], None, "raycast")
     with pytest.raises(ConfigError, match="shaded, color"):
         draw_mesh(plain, [looking_ahead()], ["wire"], None, "raycast")
-    with pytest.raises(RunError, match="uncle preprocess"):
-        load_run_mesh(RunDirectory(tmp_path))
-
-
-def test_run_without_mesh_names_the_command(make_box_run):
-    with pytest.raises(RunError, match="uncle mesh"):
-        load_run_mesh(make_box_run())
 
 
 def test_ray_caster_takes_over_and_says_so(monkeypatch):

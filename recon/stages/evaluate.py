@@ -1,0 +1,101 @@
+"""The `eval` stage: score a run, a mesh file or a trajectory file against the ground truth."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass
+from pathlib import Path
+
+from ..core.errors import DataError
+from ..core.events import Note, OnEvent, Warn, ignore
+from ..core.mesh import Mesh
+from ..core.trajectory import Trajectory
+from ..evaluation.run_metrics import RunMetrics, score_run
+from ..evaluation.surface_metrics import (
+    DEFAULT_SETTINGS,
+    EvaluationSettings,
+    SurfaceMetrics,
+    score_surface,
+    write_error_mesh,
+)
+from ..evaluation.trajectory_metrics import TrajectoryMetrics, evaluate_trajectory
+from ..evaluation.trajectory_pair import CameraPath
+from ..evaluation.visibility import Visibility
+from ..run.directory import RunDirectory
+from ..run.meshes import load_reference_mesh
+from ..visualization.trajectory_charts import draw_camera_path
+from .base import StageSummary
+
+__all__ = ["EvaluationSettings", "EvaluationSummary", "evaluate_mesh_file", "evaluate_run", "evaluate_trajectory_file"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class EvaluationSummary(StageSummary):
+    """The scores of a run, also written to RUN/metrics.json."""
+
+    metrics: RunMetrics
+
+
+def evaluate_run(
+    run: RunDirectory,
+    settings: EvaluationSettings = DEFAULT_SETTINGS,
+    *,
+    error_mesh: Path | None = None,
+    plots: Path | None = None,
+    on_event: OnEvent = ignore,
+) -> EvaluationSummary:
+    """Score everything that `run` holds, write RUN/metrics.json and draw the trajectory.
+
+    error_mesh   also write the mesh, coloured by its distance to the ground truth, to this file
+    plots        folder of trajectory.png and drift.png; None: RUN/snapshots
+
+    Raises RunError if there is no run or nothing in it can be scored, DataError if an error mesh cannot be made.
+    """
+    started = time.time()
+    metrics = score_run(run, settings, on_event)
+    metrics.save(run.metrics_path)
+    if error_mesh is not None:
+        mesh_metrics = metrics.surface.mesh if metrics.surface is not None else None
+        write_error_mesh(error_mesh, Mesh.load(run.mesh_path), load_reference_mesh(run), mesh_metrics)
+    if metrics.trajectory is not None or metrics.tracking is not None:
+        try:
+            _draw(CameraPath.of_run(run), plots or run.snapshots_path, on_event)
+        except DataError as error:
+            on_event(Warn(f"the trajectory is not drawn: {error}"))
+    return EvaluationSummary(metrics=metrics, seconds=time.time() - started)
+
+
+def evaluate_mesh_file(
+    mesh_path: Path,
+    reference_path: Path,
+    settings: EvaluationSettings = DEFAULT_SETTINGS,
+    *,
+    cull: RunDirectory | None = None,
+    error_mesh: Path | None = None,
+) -> SurfaceMetrics:
+    """Score one mesh file against another; with `cull` only what the cameras of that run saw.
+
+    Raises DataError, RunError.
+    """
+    mesh, reference = Mesh.load(mesh_path), Mesh.load(reference_path)
+    visibility = Visibility.of_run(cull) if cull is not None else None
+    metrics = score_surface(mesh, reference, settings, visibility)
+    if error_mesh is not None:
+        write_error_mesh(error_mesh, mesh, reference, metrics.mesh)
+    return metrics
+
+
+def evaluate_trajectory_file(
+    estimate: Path, reference: Path, *, plots: Path | None = None, on_event: OnEvent = ignore
+) -> TrajectoryMetrics:
+    """Score one file of TUM text against another; with `plots` also draw both into that folder. Raises DataError."""
+    estimated, true = Trajectory.load(estimate), Trajectory.load(reference)
+    metrics = evaluate_trajectory(estimated, true)
+    if plots is not None:
+        _draw(CameraPath(estimated, true), plots, on_event)
+    return metrics
+
+
+def _draw(path: CameraPath, folder: Path, on_event: OnEvent) -> None:
+    charts = draw_camera_path(path, folder)
+    on_event(Note(f"drawn: {', '.join(map(str, charts))}"))
