@@ -16,8 +16,8 @@ from uncle.recon.core.config.map_config import make_config
 from uncle.recon.core.device import choose_device
 from uncle.recon.core.tensor_files import load_tensors
 from uncle.recon.evaluation.bench.tables import markdown_table
-from uncle.recon.methods.nice.mapper import Optimizer
-from uncle.recon.methods.nice.poses import to_matrix, to_seven
+from uncle.recon.methods.nice.mapper import StageOptimizer
+from uncle.recon.methods.nice.poses import to_pose_matrix, to_pose_vector
 from uncle.recon.methods.nice.scene import Stage
 from uncle.recon.methods.nice.system import NiceSystem
 from uncle.recon.methods.nice.views import Window
@@ -50,40 +50,41 @@ class Bench:
         """Take scene and networks from a run that `uncle-paper` mapped from the same frames."""
         learned = load_tensors(RunDirectory(mapped).method_state_path)
         self.system.scene.load_state(learned["scene"])
-        for name, net in self.system.weighting.nets().items():
+        for name, net in self.system.weighting.networks().items():
             net.load_state_dict(learned["noise"][name])
 
     def mapping(self, stage: Stage) -> Callable[[], None]:
         """One iteration of the mapper over the window."""
         mapper, scene = self.system.mapper, self.system.scene
         window = Window(self.views, self.frames.camera, mapper.weighting.patch_size, mapper.weighting.color_patch)
-        poses = to_matrix(to_seven(self.poses)).to(self.device)
-        scene.learn()
+        poses = to_pose_matrix(to_pose_vector(self.poses)).to(self.device)
+        scene.unfreeze()
         settings = self.system.config.nice_mapping.model_copy(update={"learning_rate_middle": 1e-5,
                                                                      "learning_rate": 1e-5})  # fmt: skip
-        optimizer = Optimizer(scene, mapper.weighting, None, settings, 1.0, "color")
+        optimizer = StageOptimizer(scene, mapper.weighting, None, settings, 1.0, "color")
         return lambda: optimizer.step(mapper.loss(window, poses, stage), stage, {})
 
     def tracking(self) -> Callable[[], None]:
         """One iteration of the tracker on the last frame of the window."""
-        tracker = self.system.tracker
-        tracker.scene.hold()
+        tracker = self.system.opened.tracker
+        tracker.scene.freeze()
         window = Window([self.views[-1]], self.frames.camera, tracker.weighting.patch_size,
                         tracker.weighting.color_patch, tracker.settings.edge)  # fmt: skip
-        seven = to_seven(self.poses[-1:]).to(self.device).requires_grad_()
+        seven = to_pose_vector(self.poses[-1:]).to(self.device).requires_grad_()
         adam = torch.optim.Adam([seven], 1e-6, fused=True)
 
         def step() -> None:
             adam.zero_grad(set_to_none=True)
-            tracker.loss(window, to_matrix(seven)).backward()
+            tracker.loss(window, to_pose_matrix(seven)).backward()
             adam.step()
 
         return step
 
     def seconds(self, step: Callable[[], None], plain: bool) -> tuple[float, float]:
         """Wall and processor seconds of one step, `plain` or as it runs."""
-        usual = self.system.evaluate
-        self.system.mapper.evaluate = self.system.tracker.evaluate = self.system.scene.values if plain else usual
+        usual = self.system.opened.evaluate
+        opened = self.system.opened
+        opened.mapper.evaluate = opened.tracker.evaluate = opened.scene.values if plain else usual
         began, cpu = time.perf_counter(), time.process_time()
         step()
         if self.device.type == "cuda":

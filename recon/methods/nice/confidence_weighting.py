@@ -1,4 +1,4 @@
-"""Readings weighed by the confidence of a trained network: the method `nice-slam-pre`."""
+"""Weights from the confidence of a pretrained network: the method `nice-slam-pre`."""
 
 from __future__ import annotations
 
@@ -11,13 +11,13 @@ from ..confidence.models import ConfidenceModels
 from .views import Rays
 from .weighting import Normals, UniformWeighting
 
-LEAST = 1e-3  # keeps the denominator of a reading that is not trusted at all finite
+MIN_CONFIDENCE = 1e-3  # keeps the scale of a residual without any confidence finite
 
 
 class ConfidenceWeighting(UniformWeighting):
-    """As NICE-SLAM, with c |D - D-hat| in mapping, in all stages, and c |D - D-hat| / S-hat in tracking.
+    """NICE-SLAM with c |D - D-hat| in mapping, in all stages, and c |D - D-hat| / S-hat in tracking.
 
-    How the paper's comparison uses its confidences is not published; this is the plainest way.
+    How the comparison of UncLe-SLAM uses its confidences is not published; this is the plainest way.
     """
 
     def __init__(
@@ -27,12 +27,13 @@ class ConfidenceWeighting(UniformWeighting):
         self.models, self.device = models, device
 
     def weighting_inputs(self, frame: Frame, normals: Normals) -> Tensor:
-        """(K, 1, H, W): the confidence of each reading; 1 where there is none, which takes no part in a loss."""
+        """Confidence (K, 1, H, W) of each depth; 1 where there is none, which takes no part in a loss."""
         images = []
         for sensor, depth in frame.depths.items():
-            confidence = self.models.image(sensor, depth.to(self.device)).cpu().clamp(min=LEAST)
+            confidence = self.models.image(sensor, depth.to(self.device)).cpu().clamp(min=MIN_CONFIDENCE)
             images.append(torch.where(depth > 0, confidence, 1.0))
         return torch.stack(images)[:, None]
 
     def confidence(self, rays: Rays) -> Tensor:
+        """Factor (N, K) of the residuals."""
         return rays.weighting_inputs[..., 0]

@@ -1,4 +1,4 @@
-"""Weights of the occupancy decoders on disk: our own format, users' NICE-SLAM checkpoints, and the shipped ones."""
+"""Weights of the occupancy decoders on disk: our own format, NICE-SLAM's checkpoints, and the shipped ones."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from .decoders import LAYERS, Decoder, OccupancyDecoders, fine_decoder, middle_d
 FORMAT = "uncle occupancy decoders, version 1"
 SHIPPED = Path(__file__).parent / "weights" / "decoders.pt"
 
-# Inside a NICE-SLAM checkpoint the middle decoder is named "coarse", and its layers have the names on the right.
+# A NICE-SLAM checkpoint names the middle decoder "coarse", and the layers as on the right.
 _NICE_PREFIX = {"middle": "decoder.coarse.", "fine": "decoder.fine."}
 _NICE_NAMES = {"embedding": "embedder._B", "output.weight": "output_linear.weight", "output.bias": "output_linear.bias"}
 _NICE_NAMES |= {
@@ -29,7 +29,7 @@ _NICE_NAMES |= {
 
 
 def save_decoders(path: Path, decoders: OccupancyDecoders) -> None:
-    """Write weights and recipe as plain tensors and containers, in one piece. Raises RunError."""
+    """Write weights and recipe as plain tensors and containers, atomically. Raises RunError."""
     weights = {
         name: {key: value.detach().cpu().clone() for key, value in decoder.state_dict().items()}
         for name, decoder in (("middle", decoders.middle), ("fine", decoders.fine))
@@ -40,7 +40,7 @@ def save_decoders(path: Path, decoders: OccupancyDecoders) -> None:
 def load_decoders(path: Path) -> OccupancyDecoders:
     """Frozen decoders from a file of `uncle pretrain decoders` or a NICE-SLAM checkpoint (`middle_fine.pt`).
 
-    Never runs code from the file. Raises ConfigError, which says what does not fit.
+    Never runs code from the file. Raises ConfigError that names what does not fit.
     """
     content = _read(path)
     if content.get("format") == FORMAT:
@@ -50,7 +50,7 @@ def load_decoders(path: Path) -> OccupancyDecoders:
     else:
         raise ConfigError(
             f"{path} holds no decoders: expected a file of `uncle pretrain decoders`, or a NICE-SLAM checkpoint with "
-            f"the entry 'model'; found {_listed(content)}"
+            f"the entry 'model', but it has {_listed(content)}"
         )
     decoders = OccupancyDecoders(middle_decoder(), fine_decoder(), str(path), recipe)
     for name, decoder in (("middle", decoders.middle), ("fine", decoders.fine)):
@@ -62,23 +62,23 @@ def shipped_decoders() -> OccupancyDecoders:
     """The decoders that come with the package, frozen. Raises ConfigError if this copy has none."""
     if not SHIPPED.exists():
         raise ConfigError(
-            "this copy of the program comes without trained decoders; make some with `uncle pretrain decoders --out "
-            "decoders.pt` and pass `--set nice.decoders=decoders.pt`"
+            "this installation has no pretrained decoders; train them with `uncle pretrain decoders --out decoders.pt` "
+            "and pass `--set nice.decoders=decoders.pt`"
         )
     return load_decoders(SHIPPED)
 
 
 def _read(path: Path) -> dict[str, Any]:
-    """The outermost dictionary of a file of tensors and plain numbers, NumPy's too: ConvONet saves its score so."""
+    """The dictionary of a file of tensors and plain numbers, also NumPy's, which ConvONet's checkpoints hold."""
     try:
         with torch.serialization.safe_globals(_numpy_scalars()):
             content = torch.load(path, map_location="cpu", weights_only=True)
     except FileNotFoundError as error:
-        raise ConfigError(f"there is no file {path}; nice.decoders names a file of decoders") from error
+        raise ConfigError(f"there is no file {path}: nice.decoders must name a file of decoders") from error
     except pickle.UnpicklingError as error:
         raise ConfigError(
             f"cannot read {path}: it holds more than tensors and plain values, and running code from a file is not "
-            f"safe; load it where you trust it and save `{{'model': checkpoint['model']}}` again"
+            f"safe; load it where you trust it, and save `{{'model': checkpoint['model']}}`"
         ) from error
     except (OSError, RuntimeError, EOFError, ValueError, KeyError) as error:
         raise ConfigError(f"cannot read {path}: it is damaged or no PyTorch file ({error})") from error
@@ -88,7 +88,7 @@ def _read(path: Path) -> dict[str, Any]:
 
 
 def _numpy_scalars() -> list[Any]:
-    """What a pickled NumPy number consists of, under the module names of NumPy 1 and 2."""
+    """Types of a pickled NumPy number, under the module names of NumPy 1 and 2."""
     scalar = np._core.multiarray.scalar if hasattr(np, "_core") else np.core.multiarray.scalar
     kinds = [type(np.dtype(kind)) for kind in (np.float32, np.float64, np.int64)]
     return [scalar, (scalar, "numpy.core.multiarray.scalar"), np.dtype, *kinds]
@@ -97,26 +97,26 @@ def _numpy_scalars() -> list[Any]:
 def _nice_state(model: dict[str, Any], name: str, path: Path) -> dict[str, Any]:
     """Our state of one decoder from a NICE-SLAM model, whose keys start with `decoder.coarse.` or `decoder.fine.`."""
     prefix = _NICE_PREFIX[name]
-    found = {str(key).removeprefix(prefix): value for key, value in model.items() if str(key).startswith(prefix)}
-    if not found:
+    weights = {str(key).removeprefix(prefix): value for key, value in model.items() if str(key).startswith(prefix)}
+    if not weights:
         raise ConfigError(
             f"{path} has no {name} decoder: no key of its model starts with '{prefix}'; NICE-SLAM keeps both in "
-            f"middle_fine.pt (coarse.pt has neither); found {_listed(model)}"
+            f"middle_fine.pt (coarse.pt has neither), but this has {_listed(model)}"
         )
-    return {ours: found[theirs] for ours, theirs in _NICE_NAMES.items() if theirs in found}
+    return {ours: weights[theirs] for ours, theirs in _NICE_NAMES.items() if theirs in weights}
 
 
 def _fill(decoder: Decoder, state: Any, name: str, path: Path) -> None:
     """Copy `state` into `decoder` after checking names, shapes and values. Raises ConfigError."""
-    for key, wanted in decoder.state_dict().items():
+    for key, expected in decoder.state_dict().items():
         value = state.get(key) if isinstance(state, dict) else None
         where = f"{path}: the {name} decoder's {key} (NICE-SLAM: {_NICE_NAMES[key]})"
         if not isinstance(value, Tensor):
             raise ConfigError(f"{where} is missing")
-        if value.shape != wanted.shape:
+        if value.shape != expected.shape:
             raise ConfigError(
-                f"{where} has shape {tuple(value.shape)}, expected {tuple(wanted.shape)}: five hidden layers of width "
-                "32 on 32 (middle) or 64 (fine) features"
+                f"{where} has shape {tuple(value.shape)}, expected {tuple(expected.shape)}: five hidden layers of "
+                "width 32 on 32 (middle) or 64 (fine) features"
             )
         if not torch.isfinite(value.float()).all():
             raise ConfigError(f"{where} is not finite: the training that wrote it failed")

@@ -1,4 +1,4 @@
-"""The decoders of the hierarchical feature grids: middle and fine occupancy, colour (METHOD, Scene representation)."""
+"""The decoders of the feature grids: middle and fine occupancy, colour (docs/uncle-paper.md, Scene representation)."""
 
 from __future__ import annotations
 
@@ -10,17 +10,18 @@ from typing import Any
 import torch
 from torch import Tensor, nn
 
+# Constants of NICE-SLAM.
 CHANNELS = 32  # of every feature grid
 EMBEDDING = 93  # frequencies of the positional embedding
 EMBEDDING_SCALE = 25.0  # their standard deviation, radians per metre
 WIDTH = 32  # of the hidden layers
 LAYERS = 5
-SKIP_AFTER = 2  # the embedding is put in front of the output of this hidden layer
+SKIP_AFTER = 2  # the embedding is concatenated in front of the output of this hidden layer
 OCCUPANCY_SLOPE = 10.0  # occupancy = sigmoid(slope * logit), at render time only
 
 
 class Decoder(nn.Module):
-    """A small network from a position and the features found there to a logit, or to colour.
+    """A network from a position and the features there to a logit of occupancy, or to colour.
 
     With e = sin(p B): five times h <- relu(W h + b) + (V c + u), starting from h = e; [e, h] after the third.
     """
@@ -51,7 +52,7 @@ class Decoder(nn.Module):
             layer.bias.uniform_(-bound, bound, generator=generator)
 
     def forward(self, points: Tensor, features: Tensor) -> Tensor:
-        """points: (N, 3) metres, world; features: (N, C). Returns (N, outputs): logits of occupancy, or colour."""
+        """Logits of occupancy, or colour, (N, outputs), at points (N, 3), world, metres, with features (N, C)."""
         embedded = torch.sin(points @ self.embedding)
         state = embedded
         for layer, (hidden, injection) in enumerate(zip(self.hidden, self.injection, strict=True)):
@@ -67,7 +68,7 @@ def middle_decoder(generator: torch.Generator | None = None) -> Decoder:
 
 
 def fine_decoder(generator: torch.Generator | None = None) -> Decoder:
-    """What the fine grid adds to the middle logit, from [fine, middle] features: 20 920 parameters."""
+    """Residual of the middle logit from [fine, middle] features: 20 920 parameters."""
     return Decoder(2 * CHANNELS, generator=generator)
 
 
@@ -78,7 +79,7 @@ def color_decoder(generator: torch.Generator | None = None) -> Decoder:
 
 @dataclass(frozen=True)
 class OccupancyDecoders:
-    """The middle and the fine decoder, and where their weights come from."""
+    """The middle and the fine decoder, and the origin of their weights."""
 
     middle: Decoder
     fine: Decoder
@@ -86,7 +87,7 @@ class OccupancyDecoders:
     recipe: dict[str, Any] = field(default_factory=dict)  # settings, versions and scores of the training
 
     def frozen(self, device: torch.device | str = "cpu") -> OccupancyDecoders:
-        """The same on `device`, without gradients of the weights; the networks themselves are moved."""
+        """Move the networks to `device`, without gradients of their weights; returns self."""
         for decoder in (self.middle, self.fine):
             decoder.to(device).requires_grad_(False)
         return self
@@ -103,7 +104,7 @@ class OccupancyDecoders:
     def logits(self, points: Tensor, middle: Tensor, fine: Tensor | None = None) -> Tensor:
         """Logit of occupancy, (N,): middle(p), or middle(p) + fine(p) where fine features are given.
 
-        points: (N, 3) metres; middle, fine: (N, 32). Through the fine decoder no gradient reaches the middle features.
+        points (N, 3) metres; middle, fine (N, 32). No gradient reaches the middle features through the fine decoder.
         """
         coarse = self.middle(points, middle)[:, 0]
         if fine is None:
@@ -112,6 +113,6 @@ class OccupancyDecoders:
 
 
 def random_decoders(seed: int) -> OccupancyDecoders:
-    """Untrained decoders: the start of a training, or for tests. They describe no scene."""
+    """Untrained decoders: the start of a training, or for tests."""
     generator = torch.Generator().manual_seed(seed)
     return OccupancyDecoders(middle_decoder(generator), fine_decoder(generator), f"random weights, seed {seed}")

@@ -1,17 +1,19 @@
-"""What a scene says along rays, on a CPU: the mathematics of `Scene.values` without the work that changes nothing.
+"""Values of a scene along rays on a CPU: `GridScene.values` without the work that changes (nearly) nothing.
 
 - Rays are taken in parts that fit the cache, on all cores.
-- A ray is followed from front to back and left once no more than `PASSED` of it goes on.
-- Frozen decoders remember which ReLUs were open, and nothing else, for the gradient.
-- Samples whose logit has a gradient below `FLAT` send none on: Adam would not feel it beside its epsilon of 1e-8. Where
-  only a camera is moved, whose gradient is one sum, all but a thousandth of the whole is sent on.
-- Colour is decoded where a sample makes up more than `FAINT` of its ray.
+- A ray is followed from front to back and left once its transmittance is negligible.
+- Frozen decoders keep which ReLUs were open, and nothing else, for the gradient.
+- Samples whose logit has a negligible gradient send none on: Adam would not notice it beside its epsilon of 1e-8.
+  Where only a camera is moved, whose gradient is one sum, all but a thousandth of the whole is sent on.
+- Colour is decoded where a sample has a weight that matters.
 """
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import partial
+from typing import Any
 
 import numpy as np
 import torch
@@ -22,21 +24,31 @@ from .decoders import CHANNELS, OCCUPANCY_SLOPE
 from .frozen import FrozenDecoder
 from .grids import FeatureGrid
 from .rays import TINY, ray_weights
-from .scene import OUTSIDE_LOGIT, Scene, Stage, Values
+from .scene import OUTSIDE_LOGIT, FieldValues, GridScene, Stage
 from .workers import Workers
 
-PASSED = 1e-8
-FLAT = 1e-9
-LOST_SHARE = 1e-3
-FAINT = 1e-4
-BEHIND_LOGIT = -100.0  # of samples that no light reaches: they take no part
-RAYS = 384  # at a time
-SAMPLES = 4096  # at a time, of colour
+BEHIND_LOGIT = -100.0  # of samples that are not evaluated: their weight is 0
+RAYS_AT_A_TIME = 384
+SAMPLES_AT_A_TIME = 4096
 SEGMENTS = 4  # of a ray; after each, rays that have ended are left
-NAMES = ("middle", "fine", "color")
+GRIDS = ("middle", "fine", "color")
 
 
-class _Grid:
+@dataclass(frozen=True)
+class PruningParameters:
+    """What is negligible: transmittance of a ray; gradient of a logit, absolute where features are optimised and as a
+    ratio of the mean where only poses are; weight of a sample whose colour is decoded."""
+
+    min_transmittance: float = 1e-8
+    min_gradient: float = 1e-9
+    min_gradient_ratio: float = 1e-3
+    min_color_weight: float = 1e-4
+
+
+PRUNING = PruningParameters()
+
+
+class _GridArrays:
     """A grid as the compiled loops take it."""
 
     def __init__(self, grid: FeatureGrid) -> None:
@@ -44,89 +56,92 @@ class _Grid:
         self.place = (grid.low.numpy(), (1 / grid.pitch).numpy(), np.array(grid.shape))
 
     def lookup(self, points: Tensor) -> Tensor:
-        """(N, 3) -> (N, 32)."""
-        found = torch.empty(len(points), CHANNELS)
-        kernels.lookup(points.numpy(), self.table, *self.place, found.numpy())
-        return found
+        """Features (N, 32) at points (N, 3)."""
+        features = torch.empty(len(points), CHANNELS)
+        kernels.lookup(points.numpy(), self.table, *self.place, features.numpy())
+        return features
 
     def scatter(self, points: Tensor, gradient: Tensor, of_table: np.ndarray) -> None:
-        """Add the gradient (N, 32) of what was found to that of the table."""
+        """Add to the gradient of the table, from that (N, 32) of the features."""
         kernels.scatter(points.numpy(), gradient.contiguous().numpy(), *self.place, of_table)
 
     def add_slopes(self, points: Tensor, gradient: Tensor, of_points: Tensor) -> None:
-        """Add to the gradient (N, 3) of the points."""
+        """Add to the gradient (N, 3) of the points, from that (N, 32) of the features."""
         kernels.add_slopes(points.numpy(), self.table, gradient.contiguous().numpy(), *self.place, of_points.numpy())
 
 
 @dataclass
-class _Seen:
-    """Samples (n,) of all, their points (n, 3), and the open ReLUs (5, n, 32) of each decoder by name."""
+class _EvaluatedSamples:
+    """Evaluated samples: numbers (n,), points (n, 3), and the open ReLUs (5, n, 32) of each decoder by name."""
 
     samples: Tensor
     points: Tensor
     opened: dict[str, Tensor]
 
-    def only(self, chosen: Tensor) -> _Seen:
-        """Those `chosen` (m,); `index_select` takes a third of the time of an index in brackets."""
+    def select(self, chosen: Tensor) -> _EvaluatedSamples:
+        """The `chosen` (m,) ones; `index_select` takes a third of the time of an index in brackets."""
         words = {name: masks.view(torch.int64) for name, masks in self.opened.items()}
         opened = {name: masks.index_select(1, chosen).view(torch.uint8) for name, masks in words.items()}
-        return _Seen(self.samples.index_select(0, chosen), self.points.index_select(0, chosen), opened)
+        return _EvaluatedSamples(self.samples.index_select(0, chosen), self.points.index_select(0, chosen), opened)
 
 
 class FastEvaluate:
-    """`Scene.values` of a scene on the CPU; grids may be replaced and the colour decoder trained between calls."""
+    """`GridScene.values` of a scene on the CPU; grids may be replaced and the colour decoder trained between calls."""
 
-    def __init__(self, scene: Scene) -> None:
-        self.scene = scene
+    def __init__(self, scene: GridScene, pruning: PruningParameters = PRUNING) -> None:
+        self.scene, self.pruning = scene, pruning
         self.middle, self.fine = FrozenDecoder(scene.decoders.middle), FrozenDecoder(scene.decoders.fine)
         self.workers = Workers()
 
-    def __call__(self, points: Tensor, stage: Stage) -> Values:
-        """points (R, S, 3), metres, along R rays, front to back."""
-        tables = [self.scene.grids[name].table for name in NAMES]
+    def __call__(self, points: Tensor, stage: Stage) -> FieldValues:
+        """Field at points (R, S, 3), metres, along R rays, front to back."""
+        tables = [self.scene.grids[name].table for name in GRIDS]
         colored = stage == "color"
         weights = list(self.scene.color_decoder.parameters()) if colored else []
-        logits, colors = _Along.apply(self, stage, points, *tables, *weights)
-        return Values(logits, colors if colored else None)
+        logits, colors = _FieldAlongRays.apply(self, stage, points, *tables, *weights)
+        return FieldValues(logits, colors if colored else None)
 
-    def grid(self, name: str) -> _Grid:
-        return _Grid(self.scene.grids[name])
+    def grid(self, name: str) -> _GridArrays:
+        """A grid as the compiled loops take it."""
+        return _GridArrays(self.scene.grids[name])
 
-    def follow(self, points: Tensor, stage: Stage, keep: bool, worker: int, rays: range) -> tuple[Tensor, list[_Seen]]:
-        """Some rays of points (R, S, 3) -> logits (r, S), and what was seen if `keep`."""
+    def follow(
+        self, points: Tensor, stage: Stage, keep: bool, worker: int, rays: range
+    ) -> tuple[Tensor, list[_EvaluatedSamples]]:
+        """Logits (r, S) of some rays of points (R, S, 3), and the samples that were evaluated, if `keep`."""
         first, length = rays.start, points.shape[1]
         points = points[rays.start : rays.stop]
         logits = torch.full(points.shape[:2], BEHIND_LOGIT)
-        alive, passing = torch.arange(len(points)), torch.ones(len(points))
-        seen = []
+        alive, transmittance = torch.arange(len(points)), torch.ones(len(points))
+        evaluated = []
         step = -(-length // SEGMENTS)
         for start in range(0, length, step):
             end = min(start + step, length)
             whole = len(alive) == len(points)
             part = (points if whole else points.index_select(0, alive))[:, start:end].reshape(-1, 3)
-            found, opened = self.logits(part, stage)
-            found = found.view(len(alive), -1)
-            logits[slice(None) if whole else alive, start:end] = found
+            values, opened = self.logits(part, stage)
+            values = values.view(len(alive), -1)
+            logits[slice(None) if whole else alive, start:end] = values
             if keep:
                 samples = (first + alive)[:, None] * length + torch.arange(start, end)
-                seen.append(_Seen(samples.view(-1), part, opened))
-            passing = passing * (1 - torch.sigmoid(OCCUPANCY_SLOPE * found) + TINY).prod(1)
-            left = passing > PASSED
+                evaluated.append(_EvaluatedSamples(samples.view(-1), part, opened))
+            transmittance = transmittance * (1 - torch.sigmoid(OCCUPANCY_SLOPE * values) + TINY).prod(1)
+            left = transmittance > self.pruning.min_transmittance
             if not bool(left.all()):
-                alive, passing = alive[left], passing[left]
+                alive, transmittance = alive[left], transmittance[left]
             if not len(alive):
                 break
-        return logits, seen
+        return logits, evaluated
 
     def logits(self, points: Tensor, stage: Stage) -> tuple[Tensor, dict[str, Tensor]]:
-        """(N, 3) -> logits (N,), open ReLUs by decoder."""
+        """Logits (N,) at points (N, 3), and the open ReLUs by decoder."""
         middle = self.grid("middle").lookup(points)
         logits, opened = self.middle.values(points, middle)
         masks = {"middle": opened}
         if stage != "middle":
             features = torch.cat([self.grid("fine").lookup(points), middle], 1)
-            more, masks["fine"] = self.fine.values(points, features)
-            logits = logits + more
+            residual, masks["fine"] = self.fine.values(points, features)
+            logits = logits + residual
         logits = logits[:, 0].contiguous()
         kernels.fill_outside(points.numpy(), *self.scene.bound.numpy(), np.float32(OUTSIDE_LOGIT), logits.numpy())
         return logits, masks
@@ -137,34 +152,37 @@ class FastEvaluate:
         return decoder.values(places, self.grid("color").lookup(places))
 
 
-class _Along(torch.autograd.Function):
-    """evaluate, stage, points (R, S, 3), the grids' tables, weights of the colour decoder -> logits, colours."""
+class _FieldAlongRays(torch.autograd.Function):
+    """Logits and colours from evaluate, stage, points (R, S, 3), the grids' tables, weights of the colour decoder."""
 
     @staticmethod
-    def forward(ctx, evaluate: FastEvaluate, stage: Stage, points: Tensor, *learned: Tensor):
+    def forward(
+        ctx: Any, evaluate: FastEvaluate, stage: Stage, points: Tensor, *learned: Tensor
+    ) -> tuple[Tensor, Tensor]:
         points = points.detach().contiguous()
         work = partial(evaluate.follow, points, stage, any(ctx.needs_input_grad))
-        size = max(RAYS, SAMPLES // points.shape[1])
+        size = max(RAYS_AT_A_TIME, SAMPLES_AT_A_TIME // points.shape[1])
         parts = [range(start, start + size) for start in range(0, len(points), size)]
         done = evaluate.workers.share(work, parts)
         logits = torch.cat([part for part, _ in done])
         ctx.evaluate, ctx.stage, ctx.points = evaluate, stage, points
-        ctx.seen = [seen for _, parts in done for seen in parts]
+        ctx.evaluated = [samples for _, parts in done for samples in parts]
         if stage != "color":
             return logits, torch.zeros(0)
         colors = torch.zeros(points.shape)
         ctx.decoder = FrozenDecoder(evaluate.scene.color_decoder, 3)
-        ctx.visible = (ray_weights(logits) > FAINT).view(-1).nonzero()[:, 0].split(SAMPLES)
-        found = evaluate.workers.share(partial(evaluate.colors, points.view(-1, 3), ctx.decoder), ctx.visible)
-        for samples, (part, _) in zip(ctx.visible, found, strict=True):
+        weights = ray_weights(logits) > evaluate.pruning.min_color_weight
+        ctx.visible = weights.view(-1).nonzero()[:, 0].split(SAMPLES_AT_A_TIME)
+        decoded = evaluate.workers.share(partial(evaluate.colors, points.view(-1, 3), ctx.decoder), ctx.visible)
+        for samples, (part, _) in zip(ctx.visible, decoded, strict=True):
             colors.view(-1, 3)[samples] = part
-        ctx.opened = [opened for _, opened in found]
+        ctx.opened = [opened for _, opened in decoded]
         return logits, colors
 
     @staticmethod
-    def backward(ctx, of_logits: Tensor, of_colors: Tensor):
+    def backward(ctx: Any, of_logits: Tensor, of_colors: Tensor) -> tuple[Tensor | None, ...]:
         gradients = Gradients(ctx.evaluate, ctx.points, ctx.needs_input_grad[2:])
-        gradients.add_logits(ctx.seen, of_logits.reshape(-1))
+        gradients.add_logits(ctx.evaluated, of_logits.reshape(-1))
         if ctx.stage == "color":
             of_colors = of_colors.reshape(-1, 3)
             if any(ctx.needs_input_grad[6:]):
@@ -175,50 +193,57 @@ class _Along(torch.autograd.Function):
 
 
 class Gradients:
-    """Sums of gradients, by worker: of the points, three tables, and the weights of the colour decoder."""
+    """Sums of gradients, by worker: of the points, three tables, and the weights of the colour decoder.
+
+    Every method adds what follows from one output; `collected` returns the sums.
+    """
 
     def __init__(self, evaluate: FastEvaluate, points: Tensor, wanted: tuple[bool, ...]) -> None:
-        """wanted: whether each of these, in this order, is asked for."""
+        """wanted: whether each of these, in this order, is needed."""
         self.evaluate, self.wanted, self.points = evaluate, wanted, points
         self.of_points = torch.zeros(points.shape).view(-1, 3) if wanted[0] else None
-        self.asked = {name for name, asked in zip(NAMES, wanted[1:4], strict=True) if asked}
+        self.wanted_tables = {name for name, needed in zip(GRIDS, wanted[1:4], strict=True) if needed}
         self.tables: dict[str, list[np.ndarray]] = {}
         self.weights: list[Tensor] = []
 
-    def add_logits(self, seen: list[_Seen], of_logits: Tensor) -> None:
-        """From that of the logits (N,)."""
-        flat = FLAT if self.asked else LOST_SHARE * float(of_logits.abs().mean())
-        names = seen[0].opened if seen else ()
+    def add_logits(self, evaluated: list[_EvaluatedSamples], of_logits: Tensor) -> None:
+        """Add what follows from the gradient of the logits (N,)."""
+        pruning = self.evaluate.pruning
+        if self.wanted_tables:
+            negligible = pruning.min_gradient
+        else:
+            negligible = pruning.min_gradient_ratio * float(of_logits.abs().mean())
+        names = evaluated[0].opened if evaluated else ()
         self._open(names)
         decoders = {"middle": self.evaluate.middle, "fine": self.evaluate.fine}
 
-        def back(worker: int, seen: _Seen) -> None:
-            given = of_logits.index_select(0, seen.samples)
-            chosen = (given.abs() > flat).nonzero()[:, 0]
+        def back(worker: int, part: _EvaluatedSamples) -> None:
+            given = of_logits.index_select(0, part.samples)
+            chosen = (given.abs() > negligible).nonzero()[:, 0]
             if len(chosen) < len(given):
-                seen, given = seen.only(chosen), given[chosen]
+                part, given = part.select(chosen), given[chosen]
             for name in names:
-                found = decoders[name].gradients(seen.opened[name], given[:, None], self._moving(seen.points))
-                self._pass_on(worker, name, seen.samples, seen.points, *found)
+                gradients = decoders[name].gradients(part.opened[name], given[:, None], self._if_moving(part.points))
+                self._pass_on(worker, name, part.samples, part.points, *gradients)
 
-        self.evaluate.workers.share(back, seen)
+        self.evaluate.workers.share(back, evaluated)
 
     def add_colors(
         self, visible: tuple[Tensor, ...], opened: list[Tensor], decoder: FrozenDecoder, given: Tensor
     ) -> None:
-        """From that of the colours (N, 3), with a decoder that stands still."""
+        """Add what follows from the gradient of the colours (N, 3), with fixed weights of the decoder."""
         self._open(("color",))
 
         def back(worker: int, part: tuple[Tensor, Tensor]) -> None:
             samples, masks = part
             points = self.points.view(-1, 3)[samples]
-            found = decoder.gradients(masks, given[samples], self._moving(points))
-            self._pass_on(worker, "color", samples, points, *found)
+            gradients = decoder.gradients(masks, given[samples], self._if_moving(points))
+            self._pass_on(worker, "color", samples, points, *gradients)
 
         self.evaluate.workers.share(back, list(zip(visible, opened, strict=True)))
 
     def learn_colors(self, visible: tuple[Tensor, ...], decoder: FrozenDecoder, given: Tensor) -> None:
-        """The same with a decoder that learns."""
+        """Add what follows from the gradient of the colours (N, 3), the weights of the decoder included."""
         self._open(("color",))
         grid = self.evaluate.grid("color")
 
@@ -232,17 +257,22 @@ class Gradients:
         self.weights = [torch.stack(column).sum(0) for column in zip(*parts, strict=True)]
 
     def collected(self) -> list[Tensor | None]:
-        """In the order of the inputs; None where nothing was asked for or nothing came."""
+        """Sums in the order of the inputs; None where none is needed or there is none."""
         points = None if self.of_points is None else self.of_points.view(self.points.shape)
-        tables = [torch.from_numpy(sum(own[1:], own[0])) if (own := self.tables.get(name)) else None for name in NAMES]
+        tables = [self._table_sum(name) for name in GRIDS]
         return [points, *tables, *(self.weights or [None] * (len(self.wanted) - 4))]
 
-    def _open(self, names) -> None:
-        for name in self.asked.intersection(names):
+    def _table_sum(self, name: str) -> Tensor | None:
+        by_worker = self.tables.get(name)
+        return torch.from_numpy(sum(by_worker[1:], by_worker[0])) if by_worker else None
+
+    def _open(self, names: Iterable[str]) -> None:
+        """Make room for the sums of these tables, if they are needed."""
+        for name in self.wanted_tables.intersection(names):
             table = self.evaluate.grid(name).table
             self.tables[name] = [np.zeros_like(table) for _ in range(self.evaluate.workers.count)]
 
-    def _moving(self, points: Tensor) -> Tensor | None:
+    def _if_moving(self, points: Tensor) -> Tensor | None:
         return points if self.of_points is not None else None
 
     def _pass_on(
@@ -253,4 +283,4 @@ class Gradients:
             grid.scatter(points, of_features, self.tables[name][worker])
         if of_points is not None and self.of_points is not None:
             grid.add_slopes(points, of_features, of_points)
-            self.of_points.index_add_(0, samples, of_points)  # its own samples: nobody else writes there
+            self.of_points.index_add_(0, samples, of_points)  # no other worker has these samples

@@ -1,7 +1,7 @@
-"""A decoder whose weights stand still, arranged for speed: few large products, a backward pass that needs only signs.
+"""A decoder with fixed weights, arranged for speed: few large products, and a backward pass that needs only signs.
 
-With weights that do not learn, the gradient of the features only asks which ReLUs were open: 160 bits of a sample.
-The same numbers as `Decoder`, which the tests hold it against.
+With fixed weights the gradient of the features depends on which ReLUs were open only: 160 bits per sample. Same
+values as `Decoder`; the tests compare them.
 """
 
 from __future__ import annotations
@@ -14,22 +14,21 @@ from torch import Tensor
 from . import kernels
 from .decoders import CHANNELS, EMBEDDING, LAYERS, SKIP_AFTER, WIDTH, Decoder
 
-SKIP = SKIP_AFTER + 1  # the layer that sees the embedding again
+SKIP = SKIP_AFTER + 1  # the layer that takes the embedding again
 
 
 class FrozenDecoder:
-    """`decoder` as it is now. Its first 32 features take gradients; its first `outputs` outputs are made."""
+    """A copy of `decoder`: gradients of its first 32 features, values of its first `outputs` outputs."""
 
     def __init__(self, decoder: Decoder, outputs: int = 1) -> None:
         weights = [layer.weight.detach() for layer in decoder.hidden]
-        self.shifts = shifts = [
-            layer.bias.detach() for layer in decoder.injection
-        ]  # carried on into the biases of the next layer
+        # u of V c + u is not added to a state but moved into the bias of the next layer
+        self.shifts = shifts = [layer.bias.detach() for layer in decoder.injection]
         weights[SKIP], skipped = weights[SKIP][:, EMBEDDING:].contiguous(), weights[SKIP][:, :EMBEDDING]
         biases = [layer.bias.detach() for layer in decoder.hidden]
         self.biases = [biases[0], *(b + w @ u for b, w, u in zip(biases[1:], weights[1:], shifts, strict=False))]
         self.embedding = decoder.embedding.detach().contiguous()
-        # what the embedding gives to the first layer and, past the skip, to the fourth: (93, 64)
+        # (93, 64): weights from the embedding to the first layer and, by the skip, to the fourth
         self.entry = torch.cat([weights[0], skipped]).T.contiguous()
         self.entry_bias = torch.cat([self.biases[0], self.biases[SKIP]])
         self.back = weights
@@ -40,13 +39,15 @@ class FrozenDecoder:
         self.output_bias = decoder.output.bias.detach()[:outputs] + self.output @ shifts[-1]
 
     def values(self, points: Tensor, features: Tensor) -> tuple[Tensor, Tensor]:
-        """points (N, 3), features (N, C) -> outputs (N, O), and the open ReLUs (5, N, 32) uint8 for `gradients`."""
+        """Outputs (N, O) at points (N, 3) with features (N, C), and the open ReLUs (5, N, 32) uint8 for `gradients`."""
         _, states, opened = self._forward(points, features)
         return torch.addmm(self.output_bias, states[-1], self.output.T), opened
 
     def gradients(self, opened: Tensor, of_values: Tensor, points: Tensor | None) -> tuple[Tensor, Tensor | None]:
-        """From that of the outputs (N, O): gradient of the first 32 features (N, 32); of the points (N, 3), where they
-        are given, through the embedding alone."""
+        """Gradients of the first 32 features (N, 32) and, if `points` are given, of them (N, 3) by the embedding.
+
+        of_values (N, O): gradient of the outputs.
+        """
         of_features = of_values.new_zeros(len(of_values), CHANNELS)
         of_entry = of_values.new_empty(len(of_values), 2 * WIDTH)
         for layer, of_state, of_inner in self._backward(opened, of_values):
@@ -58,8 +59,11 @@ class FrozenDecoder:
         return of_features, torch.mm(self._of_angles(points, of_entry), self.embedding.T)
 
     def learn(self, points: Tensor, features: Tensor, of_values: Tensor) -> tuple[Tensor, Tensor, list[Tensor]]:
-        """From that of the outputs: gradient of the features (N, 32), of the points through the embedding (N, 3), and
-        of all that is learned, in the order of `Decoder.parameters`, which has four outputs for our three."""
+        """Gradients of the features (N, 32), of the points (N, 3) by the embedding, and of all weights.
+
+        of_values (N, O): gradient of the outputs. Weights are in the order of `Decoder.parameters`, whose fourth output
+        gets the gradient 0.
+        """
         embedded, states, opened = self._forward(points, features)
         of_features, of_entry = torch.zeros(len(points), CHANNELS), torch.empty(len(points), 2 * WIDTH)
         hidden: list[Tensor] = []
@@ -78,15 +82,15 @@ class FrozenDecoder:
         of_angles = self._of_angles(points, of_entry)
         of_bias = of_values.sum(0)
         of_output = of_values.T @ states[-1] + of_bias[:, None] * self.shifts[-1]
-        silent = torch.zeros(1, WIDTH)
-        output = [torch.cat([of_output, silent]), torch.cat([of_bias, silent[0, :1]])]
+        unused = torch.zeros(1, WIDTH)
+        output = [torch.cat([of_output, unused]), torch.cat([of_bias, unused[0, :1]])]
         learned = [points.T @ of_angles, *hidden, *injected, *output]
         return of_features, torch.mm(of_angles, self.embedding.T), learned
 
     def _forward(self, points: Tensor, features: Tensor) -> tuple[Tensor, list[Tensor], Tensor]:
-        """The embedding (N, 93), the state (N, 32) after each layer, less its shift, and the open ReLUs."""
+        """The embedding (N, 93), the state (N, 32) after each layer without its shift, and the open ReLUs."""
         angles = torch.mm(points, self.embedding)
-        embedded = torch.empty_like(angles)  # the compiled loop is only quick between two arrays
+        embedded = torch.empty_like(angles)  # the compiled loop is slow in place
         kernels.sine(angles.view(-1).numpy(), embedded.view(-1).numpy())
         entry = torch.addmm(self.entry_bias, embedded, self.entry)
         opened = torch.empty(LAYERS, len(points), WIDTH, dtype=torch.uint8)
@@ -102,7 +106,7 @@ class FrozenDecoder:
     def _backward(self, opened: Tensor, of_values: Tensor) -> Iterator[tuple[int, Tensor, Tensor]]:
         """From the last layer to the first: its number, the gradient (N, 32) of its state, and that before its ReLU.
 
-        They hold until the next step.
+        The tensors are overwritten in the next step.
         """
         state = torch.mm(of_values, self.output)
         gated = torch.empty_like(state)
@@ -113,7 +117,7 @@ class FrozenDecoder:
                 torch.mm(gated, self.back[layer], out=state)
 
     def _of_angles(self, points: Tensor, of_entry: Tensor) -> Tensor:
-        """Gradient (N, 93) of the angles from that (N, 64) of what the embedding gives to the layers."""
+        """Gradient (N, 93) of the angles from that (N, 64) of the inputs of the first and the fourth layer."""
         angles = torch.mm(points, self.embedding)
         slopes = torch.empty_like(angles)
         kernels.cosine(angles.view(-1).numpy(), slopes.view(-1).numpy())

@@ -1,7 +1,7 @@
-"""Dense feature grids over the box of the scene, and trilinear lookups that are differentiable in table and position.
+"""Dense feature grids over a box, with trilinear lookups that are differentiable in table and position.
 
-METHOD, Scene representation: 32 channels, float32; vertices lie ON the box (align_corners), so the pitch is
-length / (vertices - 1); positions beyond the box read its border.
+32 channels, float32. Vertices lie ON the faces of the box (align_corners), so the pitch is length / (vertices - 1);
+positions outside read the border (docs/uncle-paper.md, Scene representation).
 """
 
 from __future__ import annotations
@@ -18,7 +18,10 @@ from .decoders import CHANNELS
 
 @dataclass
 class FeatureGrid:
-    """low, pitch (3,) metres; shape: vertices along x, y, z; table (X * Y * Z, 32), z fastest; std of the start."""
+    """Features at the vertices of a regular grid.
+
+    low, pitch (3,) metres; shape: vertices along x, y, z; table (X * Y * Z, 32), z fastest; std of new features.
+    """
 
     low: Tensor
     pitch: Tensor
@@ -27,7 +30,7 @@ class FeatureGrid:
     std: float
 
     def __post_init__(self) -> None:
-        """What lookups need on the device, put there once."""
+        """Put what lookups need on the device, once."""
         self._steps = torch.tensor(_CORNERS, device=self.low.device)
         self._last = torch.tensor(self.shape, device=self.low.device) - 1
 
@@ -43,7 +46,7 @@ class FeatureGrid:
         return FeatureGrid(bound[0].float().to(device), pitch, shape, table.to(device), std)
 
     def grown(self, bound: Tensor, generator: torch.Generator) -> FeatureGrid:
-        """The grid with as many vertices more on each side as it takes to reach bound (2, 3); old ones stay."""
+        """The grid with as many vertices added on each side as it takes to include bound (2, 3); old ones stay."""
         low, high = self.low, self.low + self.pitch * self._last
         before = torch.ceil((low - bound[0].to(low)) / self.pitch - 1e-3).clamp(min=0).long().tolist()
         after = torch.ceil((bound[1].to(low) - high) / self.pitch - 1e-3).clamp(min=0).long().tolist()
@@ -71,7 +74,7 @@ class FeatureGrid:
         return rows, weights
 
     def lookup(self, points: Tensor) -> Tensor:
-        """(N, 3) metres -> (N, 32)."""
+        """Features (N, 32) at points (N, 3), metres."""
         return _WeightedRows.apply(self.table, *self.corners(points))
 
     def to_state(self) -> dict[str, Any]:
@@ -93,12 +96,12 @@ class _WeightedRows(torch.autograd.Function):
     """sum over k of weights (N, K) * table (V, C)[rows (N, K)]; gradients of table and weights without sorting."""
 
     @staticmethod
-    def forward(ctx, table: Tensor, rows: Tensor, weights: Tensor) -> Tensor:
+    def forward(ctx: Any, table: Tensor, rows: Tensor, weights: Tensor) -> Tensor:
         ctx.save_for_backward(table, rows, weights)
         return torch.nn.functional.embedding_bag(rows, table.detach(), mode="sum", per_sample_weights=weights.detach())
 
     @staticmethod
-    def backward(ctx, grad: Tensor) -> tuple[Tensor | None, None, Tensor | None]:
+    def backward(ctx: Any, grad: Tensor) -> tuple[Tensor | None, None, Tensor | None]:
         table, rows, weights = ctx.saved_tensors
         of_table = of_weights = None
         if ctx.needs_input_grad[0]:

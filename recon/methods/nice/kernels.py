@@ -1,6 +1,6 @@
-"""Trilinear lookups in a feature grid and their gradients, compiled: a sample touches eight rows of 32 numbers.
+"""Trilinear lookups in a feature grid and their gradients, in compiled loops.
 
-`FeatureGrid.lookup` is the same arithmetic as tensor operations, for accelerators; tests hold one against the other.
+`FeatureGrid.lookup` computes the same as tensor operations, on any device; the tests compare them.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from .decoders import CHANNELS
 
 @njit(nogil=True, cache=True, inline="always")
 def _place(position, low, inverse_pitch, vertices):
-    """Cell and part of one coordinate, and whether it moves with the position: at the border it does not."""
+    """Cell and fraction of one coordinate, and its derivative (1; 0 beyond the border)."""
     place = (position - low) * inverse_pitch
     last = np.float32(vertices - 1)
     free = np.float32(1.0)
@@ -26,8 +26,8 @@ def _place(position, low, inverse_pitch, vertices):
 
 
 @njit(nogil=True, cache=True, fastmath=True)
-def lookup(points, table, low, inverse_pitch, shape, found):
-    """points (N, 3), table (V, 32), low and inverse_pitch (3,), shape (3,) -> found (N, 32)."""
+def lookup(points, table, low, inverse_pitch, shape, features):
+    """Features (N, 32) at points (N, 3), written in place; table (V, 32), low, inverse_pitch and shape (3,)."""
     one = np.float32(1.0)
     step_x, step_y = shape[1] * shape[2], shape[2]
     for n in range(len(points)):
@@ -40,7 +40,7 @@ def lookup(points, table, low, inverse_pitch, shape, found):
         w4, w5, w6, w7 = c * (one - z), c * z, d * (one - z), d * z
         r2, r4, r6 = row + step_y, row + step_x, row + step_x + step_y
         for m in range(CHANNELS):
-            found[n, m] = (
+            features[n, m] = (
                 w0 * table[row, m] + w1 * table[row + 1, m] + w2 * table[r2, m] + w3 * table[r2 + 1, m]
                 + w4 * table[r4, m] + w5 * table[r4 + 1, m] + w6 * table[r6, m] + w7 * table[r6 + 1, m]
             )  # fmt: skip
@@ -48,7 +48,7 @@ def lookup(points, table, low, inverse_pitch, shape, found):
 
 @njit(nogil=True, cache=True, fastmath=True)
 def scatter(points, gradient, low, inverse_pitch, shape, of_table):
-    """Adds the gradient (N, 32) of what `lookup` found to that of the table (V, 32)."""
+    """Add to the gradient of the table (V, 32), from that (N, 32) of the features."""
     one = np.float32(1.0)
     step_x, step_y = shape[1] * shape[2], shape[2]
     for n in range(len(points)):
@@ -67,7 +67,7 @@ def scatter(points, gradient, low, inverse_pitch, shape, of_table):
 
 @njit(nogil=True, cache=True, fastmath=True)
 def add_slopes(points, table, gradient, low, inverse_pitch, shape, of_points):
-    """Adds the gradient of the positions (N, 3), from that (N, 32) of what `lookup` found."""
+    """Add to the gradient of the points (N, 3), from that (N, 32) of the features."""
     one = np.float32(1.0)
     step_x, step_y = shape[1] * shape[2], shape[2]
     along = np.empty(8, np.float32)
@@ -97,7 +97,7 @@ def add_slopes(points, table, gradient, low, inverse_pitch, shape, of_points):
 
 @njit(nogil=True, cache=True)
 def fill_outside(points, low, high, value, values):
-    """values (N,) of points (N, 3) beyond the box low, high (3,) become `value`."""
+    """Set values (N,) of points (N, 3) outside of the box low, high (3,) to `value`."""
     for n in range(len(points)):
         for axis in range(3):
             if points[n, axis] < low[axis] or points[n, axis] > high[axis]:
@@ -106,17 +106,17 @@ def fill_outside(points, low, high, value, values):
 
 @njit(nogil=True, cache=True)
 def rectify(values, opened):
-    """ReLU of values (N,) in place; opened (N,) uint8: where it let something through."""
-    nothing = np.float32(0.0)
+    """ReLU of values (N,) in place; opened (N,) uint8: whether a value was positive."""
+    zero = np.float32(0.0)
     for n in range(len(values)):
         value = values[n]
-        opened[n] = value > nothing
-        values[n] = max(value, nothing)
+        opened[n] = value > zero
+        values[n] = max(value, zero)
 
 
 @njit(nogil=True, cache=True)
 def gate(values, opened, passed):
-    """passed (N,) = values (N,) where opened, else 0."""
+    """passed (N,) = values (N,) where opened (N,) is 1, else 0."""
     for n in range(len(values)):
         passed[n] = values[n] * np.float32(opened[n])
 
@@ -142,7 +142,7 @@ def _signed_sine(x, turns, sign):
 
 @njit(nogil=True, cache=True, fastmath={"nnan", "ninf", "nsz", "contract"})
 def sine(angles, sines):
-    """sin of angles (N,) up to some thousand radians, to 2e-7; a quarter of the library's time."""
+    """sin of angles (N,) up to some thousand radians, to 2e-7, in a quarter of the time of NumPy's."""
     one, half, two = np.float32(1.0), np.float32(0.5), np.float32(2.0)
     for n in range(len(angles)):
         turns = np.floor(angles[n] * _INVERSE_PI + half)
@@ -152,7 +152,7 @@ def sine(angles, sines):
 
 @njit(nogil=True, cache=True, fastmath={"nnan", "ninf", "nsz", "contract"})
 def cosine(angles, cosines):
-    """cos likewise."""
+    """cos of angles (N,), as `sine`."""
     one, half, two = np.float32(1.0), np.float32(0.5), np.float32(2.0)
     for n in range(len(angles)):
         turns = np.floor(angles[n] * _INVERSE_PI)

@@ -1,9 +1,9 @@
-"""The features of `features` exactly as the published code computes them, for the faithful variant of the method.
+"""Normals, incidence and gradients exactly as UncLe-SLAM's released code computes them.
 
-METHOD.md, uncertainty decoder, and its D6 to D8. Deliberately unlike `features`: the bilateral filter has a range sigma
-of 100 m and so is a plain blur that runs over edges and holes, differences are forward, holes are not masked, normals
-point AWAY from the camera, the incidence is a signed cosine, and a unit slope reads 128 / 48 in the gradients.
-Images are (H, W) float32; depth is in metres, 0 where there is no reading.
+Used with `nice.reproduce_released_code` (docs/uncle-paper.md, differences 6 and 7). They differ from `core.normals` on
+purpose: the bilateral filter has a range sigma of 100 m and so is a plain blur across edges and holes, differences are
+forward, holes are not masked, normals point AWAY from the camera, the incidence is a signed cosine, and a unit slope
+has the gradient 128 / 48. Images are (H, W) float32; depth is in metres, 0 where there is none.
 """
 
 from __future__ import annotations
@@ -14,6 +14,7 @@ import numpy as np
 from ...core.camera import Camera
 from ...core.normals import unit_rays
 
+# Constants of the released code.
 DIAMETER = 9  # pixels
 RANGE_SIGMA = 100.0  # metres
 SPATIAL_SIGMA = 9.0  # pixels
@@ -22,7 +23,7 @@ EPSILON = 1e-9
 
 
 def smooth_depth(depth: np.ndarray) -> np.ndarray:
-    """(H, W) float32 metres -> (H, W) float32 metres, holes blurred into their surroundings."""
+    """(H, W) float32 metres -> (H, W) float32 metres, holes blurred into what is around them."""
     return cv2.bilateralFilter(depth, DIAMETER, RANGE_SIGMA, SPATIAL_SIGMA)
 
 
@@ -38,7 +39,7 @@ def normals(depth: np.ndarray, camera: Camera) -> np.ndarray:
 
 
 def incidence(normals: np.ndarray, camera: Camera) -> np.ndarray:
-    """(H, W, 3) normals away from the camera -> (H, W) float32 signed cosine, near 1 where seen frontally."""
+    """(H, W, 3) normals away from the camera -> (H, W) float32 signed cosine, near 1 where frontal."""
     return (normals * unit_rays(camera)).sum(axis=-1)
 
 

@@ -1,7 +1,8 @@
-"""`uncle-paper`, `nice-slam` and their kin as a system for the shared loop."""
+"""`uncle-paper`, `nice-slam` and `nice-slam-pre` as an `OnlineSystem`: track, map, and extract the surface."""
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -17,75 +18,110 @@ from ...volume.neural_field import NeuralField
 from ...volume.sparse_grid import SparseGrid
 from ..confidence.models import ConfidenceModels
 from ..online import Found, Poses
-from .bound import around, bound_of, points_of, set_bound
+from .bound import backproject, bound_around, bound_of_frames, configured_bound
+from .confidence_weighting import ConfidenceWeighting
 from .fast import FastEvaluate
 from .mapper import Keyframe, NiceMapper
 from .objective import Evaluate
-from .scene import Scene
-from .surface import Seen, field_of
+from .scene import GridScene
+from .surface import ObservedSamples, extract_field
 from .tracker import NiceTracker
-from .views import View
+from .views import PreparedFrame
 from .weighting import LaplaceWeighting, UniformWeighting, Weighting
 
-MAX_VIEWS = 150  # asked which samples they see
+
+@dataclass(frozen=True)
+class OpenScene:
+    """What exists as soon as the box of the scene is known."""
+
+    scene: GridScene
+    evaluate: Evaluate
+    mapper: NiceMapper
+    tracker: NiceTracker
 
 
 class NiceSystem:
-    """Feature grids in a box, a mapper and a tracker."""
+    """Feature grids in a box, a mapper and a tracker.
+
+    With given poses the box encloses what all frames see, and is known when mapping begins; with tracked poses it
+    begins with the first mapped frame and grows.
+    """
 
     def __init__(self, frames: RunFrames, config: MapConfig, device: torch.device) -> None:
         self.frames, self.config, self.device = frames, config, device
         self.map_every = config.nice_mapping.every
         self.generator = torch.Generator().manual_seed(config.seed)
         self.draws = torch.Generator(device).manual_seed(config.seed)
-        camera = frames.camera
-        self.weighting: Weighting = choose_weighting(config, frames.sensors, camera, self.generator, device)
-        self.learns_uncertainty = self.weighting.learns
-        self.scene: Scene | None = None
-        self.evaluate: Evaluate | None = None
-        self.mapper: NiceMapper | None = None
-        self.tracker: NiceTracker | None = None
+        self.weighting: Weighting = choose_weighting(config, frames.sensors, frames.camera, self.generator, device)
+        self.learns_uncertainty = self.weighting.learns_noise
+        self._open_scene: OpenScene | None = None
+
+    @property
+    def opened(self) -> OpenScene:
+        """Scene, mapper and tracker. Raises RuntimeError before the box is known."""
+        if self._open_scene is None:
+            raise RuntimeError("the box of the scene is not known yet: call begin(), or map a frame")
+        return self._open_scene
+
+    @property
+    def scene(self) -> GridScene:
+        """The scene; see `opened`."""
+        return self.opened.scene
+
+    @property
+    def mapper(self) -> NiceMapper:
+        """The mapper; see `opened`."""
+        return self.opened.mapper
 
     def begin(self, indices: list[int], on_event: OnEvent) -> None:
-        """With given poses the box is that of all they see; a tracked one starts with the first frame."""
+        """Find the box of the scene where poses are given."""
         if not self.config.tracking.enabled:
-            bound = set_bound(self.config.nice)
-            self._open(bound_of(self.frames, indices, self._reach) if bound is None else bound)
+            bound = configured_bound(self.config.nice)
+            if bound is None:
+                bound = bound_of_frames(self.frames, indices, self._max_depth_m)
+            self._open(bound)
 
-    def prepare(self, frame: Frame) -> View:
-        """Readings out of range are none."""
-        near = {sensor: torch.where(depth < self._reach, depth, 0.0) for sensor, depth in frame.depths.items()}
-        frame = Frame(frame.index, frame.timestamp, frame.color, near, frame.T_world_camera)
+    def prepare(self, frame: Frame) -> PreparedFrame:
+        """Stack the frame's images, without depths out of range, and compute the weighting's inputs."""
+        depths = {sensor: torch.where(depth < self._max_depth_m, depth, 0.0) for sensor, depth in frame.depths.items()}
+        frame = Frame(frame.index, frame.timestamp, frame.color, depths, frame.T_world_camera)
         weighting_inputs = self.weighting.weighting_inputs(frame, self.frames.normals)
-        return View(frame.index, torch.stack(list(near.values())), frame.color, weighting_inputs)
+        return PreparedFrame(frame.index, torch.stack(list(depths.values())), frame.color, weighting_inputs)
 
-    def track(self, frame: Frame, prepared: View, recent: list[np.ndarray]) -> Found:
-        found = self.tracker.track(prepared.to(self.device), recent)
-        return found
+    def track(self, frame: Frame, prepared: PreparedFrame, recent: list[np.ndarray]) -> Found:
+        """Find the pose of a frame from the last ones."""
+        return self.opened.tracker.track(prepared.to(self.device), recent)
 
-    def map(self, frame: Frame, prepared: View, T_world_camera: np.ndarray, last: bool) -> Poses:
-        self._reach_to(prepared, T_world_camera)
+    def map(self, frame: Frame, prepared: PreparedFrame, T_world_camera: np.ndarray, last: bool) -> Poses:
+        """Optimise the scene on a frame; returns the poses that bundle adjustment moved."""
+        if self.config.tracking.enabled:
+            self.extend_bound(prepared, T_world_camera)
         return self.mapper.map(prepared.to(self.device), T_world_camera, last)
 
-    def betas(self, frame: Frame, prepared: View) -> dict[str, Tensor]:
+    def betas(self, frame: Frame, prepared: PreparedFrame) -> dict[str, Tensor]:
+        """Error scale of each sensor's depth image, (H, W) metres."""
         return self.weighting.betas(frame, prepared.weighting_inputs.to(self.device))
 
     def field(self, poses: Poses, on_event: OnEvent) -> NeuralField:
-        """The surface where any of up to `MAX_VIEWS` cameras looked."""
-        seen = Seen(SparseGrid(self.config.fusion.voxel_size_m, self.device), self.scene.bound, self.frames.camera)
+        """The surface where any of a number of evenly spread cameras observed it."""
+        voxel_size_m = self.config.fusion.voxel_size_m
+        samples = ObservedSamples(SparseGrid(voxel_size_m, self.device), self.scene.bound, self.frames.camera)
         order = sorted(poses)
-        picks = np.unique(np.linspace(0, len(order) - 1, min(MAX_VIEWS, len(order))).astype(int))
-        for pick in track_progress(picks, len(picks), "finding what was seen", on_event):
+        count = min(samples.parameters.max_frames, len(order))
+        picks = np.unique(np.linspace(0, len(order) - 1, count).astype(int))
+        for pick in track_progress(picks, len(picks), "finding observed space", on_event):
             index = order[pick]
             depths = torch.stack([self.frames.depth(index, sensor) for sensor in self.frames.sensors])
-            depths = torch.where(depths < self._reach, depths, 0.0).to(self.device)
-            seen.add(depths, torch.from_numpy(poses[index]).float().to(self.device))
-        return field_of(self.scene, seen, self.evaluate, self.config)
+            depths = torch.where(depths < self._max_depth_m, depths, 0.0).to(self.device)
+            samples.add(depths, torch.from_numpy(poses[index]).float().to(self.device))
+        return extract_field(self.scene, samples, self.opened.evaluate, self.config)
 
     def curves(self) -> dict[str, list[float]]:
+        """Mean negative log-likelihoods after each mapped frame, by name, nats."""
         return self.mapper.curves
 
     def keyframes(self) -> int:
+        """Number of keyframes."""
         return len(self.mapper.keyframes)
 
     def artifacts(self) -> dict[str, Any]:
@@ -95,18 +131,20 @@ class NiceSystem:
         return self._learned() | {"decoders": {**frozen, "origin": decoders.origin}}
 
     def state_dict(self) -> dict[str, Any]:
+        """What `load_state_dict` continues from, as plain tensors and containers."""
         generators = {"generator": self.generator.get_state(), "draws": self.draws.get_state()}
-        if self.scene is None:
+        if self._open_scene is None:
             return generators
         mapper = {"curves": self.mapper.curves, "next_keyframe": self.mapper.next_keyframe}
         return self._learned() | generators | {"mapper": mapper}
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
+        """Continue from a state."""
         if "scene" in state:
             self._open(state["scene"]["bound"].cpu())
             self.scene.load_state(state["scene"])
-            for name, net in self.weighting.nets().items():
-                net.load_state_dict(state["noise"][name])
+            for name, network in self.weighting.networks().items():
+                network.load_state_dict(state["noise"][name])
             self.mapper.curves = dict(state["mapper"]["curves"])
             self.mapper.next_keyframe = state["mapper"]["next_keyframe"]
             for index, pose in state["keyframes"].items():
@@ -115,47 +153,45 @@ class NiceSystem:
         self.generator.set_state(state["generator"].cpu())
         self.draws.set_state(state["draws"].cpu())
 
-    def _learned(self) -> dict[str, Any]:
-        return {
-            "scene": self.scene.to_state(),
-            "noise": {name: net.state_dict() for name, net in self.weighting.nets().items()},
-            "keyframes": {k.view.index: k.T_world_camera.tolist() for k in self.mapper.keyframes},
-        }
-
-    @property
-    def _reach(self) -> float:
-        return self.config.fusion.max_depth_m
-
-    def _open(self, bound: Tensor) -> None:
-        self.scene = Scene(bound, self.config.nice, self.generator, self.device)
-        self.evaluate = FastEvaluate(self.scene) if self.device.type == "cpu" else self.scene.values
-        parts = (self.scene, self.weighting, self.frames.camera, self.config, self.evaluate)
-        self.mapper = NiceMapper(*parts, self.generator, self.draws)
-        self.tracker = NiceTracker(*parts, self.draws)
-
-    def _reach_to(self, view: View, T_world_camera: np.ndarray) -> None:
-        """Open the box at the first frame of a tracked run, and enlarge it when a camera sees beyond."""
-        if not self.config.tracking.enabled:
-            return
-        parts = [points_of(depth, self.frames.camera, T_world_camera, self._reach) for depth in view.depths]
+    def extend_bound(self, view: PreparedFrame, T_world_camera: np.ndarray) -> None:
+        """Make the box of a scene without given poses enclose what a frame sees from a pose (4, 4)."""
+        camera = self.frames.camera
+        parts = [backproject(depth, camera, T_world_camera, self._max_depth_m) for depth in view.depths]
         points, centre = np.concatenate(parts), T_world_camera[None, :3, 3]
-        bound = set_bound(self.config.nice)
+        bound = configured_bound(self.config.nice)
         if bound is None:
-            bound = around(points, centre) if len(points) else around(centre, centre)
-        if self.scene is None:
+            bound = bound_around(points, centre) if len(points) else bound_around(centre, centre)
+        if self._open_scene is None:
             self._open(bound)
         elif not self.config.nice.bound:
             self.scene.grow(bound, self.generator)
 
+    def _learned(self) -> dict[str, Any]:
+        return {
+            "scene": self.scene.to_state(),
+            "noise": {name: network.state_dict() for name, network in self.weighting.networks().items()},
+            "keyframes": {k.view.index: k.T_world_camera.tolist() for k in self.mapper.keyframes},
+        }
 
-def choose_weighting(config: Any, sensors: tuple[str, ...], camera: Camera, generator: torch.Generator,
-                     device: torch.device) -> Weighting:  # fmt: skip
-    """The weighting that `config` (a `MapConfig`) asks for. Raises ConfigError."""
+    @property
+    def _max_depth_m(self) -> float:
+        return self.config.fusion.max_depth_m
+
+    def _open(self, bound: Tensor) -> None:
+        scene = GridScene(bound, self.config.nice, self.generator, self.device)
+        evaluate: Evaluate = FastEvaluate(scene) if self.device.type == "cpu" else scene.values
+        shared = (scene, self.weighting, self.frames.camera, self.config, evaluate)
+        mapper = NiceMapper(*shared, self.generator, self.draws)
+        self._open_scene = OpenScene(scene, evaluate, mapper, NiceTracker(*shared, self.draws))
+
+
+def choose_weighting(
+    config: MapConfig, sensors: tuple[str, ...], camera: Camera, generator: torch.Generator, device: torch.device
+) -> Weighting:
+    """The weighting that the settings name. Raises ConfigError if a confidence network is missing."""
     if config.nice.weighting == "laplace":
         return LaplaceWeighting(config.nice, sensors, camera, generator, device)
     if config.nice.weighting == "confidence":
-        from .confidence_weighting import ConfidenceWeighting  # which is made of `UniformWeighting`
-
         models = ConfidenceModels.load(sensors, config.confidence.files, device)
         return ConfidenceWeighting(config.nice, config.nice_tracking, models, device)
     return UniformWeighting(config.nice, config.nice_tracking)

@@ -1,4 +1,4 @@
-"""Frames as the mapper and the tracker take them, and the rays that they lend."""
+"""Frames as mapper and tracker take them, and rays through their pixels."""
 
 from __future__ import annotations
 
@@ -14,40 +14,48 @@ from .noise import gather_patches
 
 
 @dataclass(frozen=True)
-class View:
-    """depths (K, H, W) metres of K sensors, 0 = no reading; color (H, W, 3) uint8; clues (K, C, H, W): what the
-    weighting sees of each sensor's image, C may be 0."""
+class PreparedFrame:
+    """A frame of K sensors as stacked tensors.
+
+    depths (K, H, W) metres, 0 = no depth; color (H, W, 3) uint8; weighting_inputs (K, C, H, W) as of
+    `Weighting.weighting_inputs`, C may be 0.
+    """
 
     index: int
     depths: Tensor
     color: Tensor
     weighting_inputs: Tensor
 
-    def to(self, device: torch.device) -> View:
-        return View(self.index, *(part.to(device) for part in (self.depths, self.color, self.weighting_inputs)))
+    def to(self, device: torch.device) -> PreparedFrame:
+        """The same on a device."""
+        return PreparedFrame(
+            self.index, *(part.to(device) for part in (self.depths, self.color, self.weighting_inputs))
+        )
 
 
 @dataclass(frozen=True)
 class Rays:
-    """N rays of M views: the view of each (N,), directions (N, 3) in camera axes of unit z, depths (N, K) metres,
-    colors (N, 3) 0..1. What the weighting sees around their pixels is gathered when it is asked for: in the
-    middle stage a learned beta asks for nothing."""
+    """N rays of M frames.
+
+    views (N,) the frame of each; directions (N, 3) in camera axes, with z = 1; depths (N, K) metres; colors (N, 3) in
+    0..1. The weighting's inputs are gathered at their first use: the middle stage needs none.
+    """
 
     views: Tensor
     directions: Tensor
     depths: Tensor
     colors: Tensor
-    gather_clues: Callable[[], Tensor]
+    gather_inputs: Callable[[], Tensor]
     gather_colors: Callable[[], Tensor]
 
     @cached_property
     def weighting_inputs(self) -> Tensor:
-        """(N, K, C)."""
-        return self.gather_clues()
+        """(N, K, C * patch_size^2)."""
+        return self.gather_inputs()
 
     @cached_property
     def color_patches(self) -> Tensor:
-        """(N, 75), 0..1, of a weighting that has a colour patch."""
+        """(N, 3 * color_patch^2) in 0..1, for a weighting with a colour patch."""
         return self.gather_colors()
 
     def posed(self, T_world_camera: Tensor) -> tuple[Tensor, Tensor]:
@@ -57,10 +65,12 @@ class Rays:
 
 
 class Window:
-    """Views side by side, ready to lend pixels; `edge` pixels at their border are cut away."""
+    """Frames side by side, from which rays are drawn; `edge` pixels at their border are cut away."""
 
-    def __init__(self, views: list[View], camera: Camera, patch_size: int, color_patch: int, edge: int = 0) -> None:
-        """patch_size, color_patch: pixels along the side of the patch that the weighting sees; 0: no colour patch."""
+    def __init__(
+        self, views: list[PreparedFrame], camera: Camera, patch_size: int, color_patch: int, edge: int = 0
+    ) -> None:
+        """patch_size, color_patch: sides of the patches that the weighting uses, pixels; 0: no colour patch."""
         self.camera, self.patch_size, self.color_patch = camera.cropped(edge), patch_size, color_patch
         inner = (slice(edge, camera.height - edge), slice(edge, camera.width - edge))
         self.depths = torch.stack([view.depths[:, *inner] for view in views])
@@ -70,7 +80,7 @@ class Window:
         self.count = len(views)
 
     def draw(self, pixels: int, generator: torch.Generator) -> Rays:
-        """`pixels` rays, the same number from each view, at random with replacement; generator on the views' device."""
+        """`pixels` rays, evenly many of each frame, at random with replacement; generator on the frames' device."""
         each, device = max(1, pixels // self.count), self.depths.device
         height, width = self.depths.shape[-2:]
         picks = torch.randint(height * width, (self.count * each,), generator=generator, device=device)
@@ -78,9 +88,8 @@ class Window:
         return self.at(views, picks // width, picks % width)
 
     def at(self, views: Tensor, rows: Tensor, columns: Tensor) -> Rays:
-        """The rays of pixels (N,)."""
-        camera = self.camera
-        x, y = (columns - camera.cx) / camera.fx, (rows - camera.cy) / camera.fy
+        """The rays of pixels (N,) of frames (N,)."""
+        x, y = self.camera.unproject(columns, rows)
         depths = self.depths[views, :, rows, columns]
         directions = torch.stack([x, y, torch.ones_like(x)], -1)
         pixels = (views, rows, columns)

@@ -1,4 +1,4 @@
-"""Threads that share out work on tensors, each on one core: cheaper than splitting every small product over all."""
+"""Threads that share work on tensors, each with one core: cheaper than splitting every small product over all."""
 
 from __future__ import annotations
 
@@ -12,16 +12,16 @@ T = TypeVar("T")
 
 
 class Workers:
-    """As many as PyTorch has threads."""
+    """A pool of as many threads as PyTorch uses."""
 
     def __init__(self) -> None:
         self.count = max(1, torch.get_num_threads())
         self._pool = ThreadPoolExecutor(self.count, initializer=torch.set_num_threads, initargs=(1,))
 
     def share(self, work: Callable[[int, Any], T], jobs: Sequence[Any]) -> list[T]:
-        """`work(worker, job)` of all jobs, without gradients.
+        """Results of `work(worker, job)` for all jobs, in order, without gradients.
 
-        Each worker has every n-th job, so that sums that it keeps do not depend on who was quicker.
+        Each worker takes every n-th job, so sums that it keeps do not depend on which one was quicker.
         """
 
         @torch.no_grad()
@@ -31,5 +31,5 @@ class Workers:
         if self.count == 1:
             return run(0)
         done = list(self._pool.map(run, range(self.count)))
-        torch.set_num_threads(self.count)  # a new worker's setting is everybody's
+        torch.set_num_threads(self.count)  # setting it in a new worker changes it for all
         return [done[index % self.count][index // self.count] for index in range(len(jobs))]

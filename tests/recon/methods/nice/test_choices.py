@@ -6,7 +6,7 @@ import torch
 from uncle.recon.core.camera import Camera
 from uncle.recon.core.config.nice import NiceMappingConfig
 from uncle.recon.methods.nice.frustum import in_frustum
-from uncle.recon.methods.nice.keyframes import choose_window, mean_depth, overlapping
+from uncle.recon.methods.nice.keyframes import choose_window, mean_depth, overlapping_keyframes
 from uncle.recon.methods.nice.mapper import learning_rates, schedule
 
 CAMERA = Camera(160, 120, 90.0, 90.0, 79.5, 59.5)
@@ -14,15 +14,15 @@ CAMERA = Camera(160, 120, 90.0, 90.0, 79.5, 59.5)
 
 @pytest.mark.parametrize(("iterations", "counts"), [(60, (25, 12, 23)), (1500, (601, 300, 599))])
 def test_the_published_schedule(iterations, counts):
-    stages = schedule(iterations, NiceMappingConfig(), reproduce_released_code=True, color=True)
+    stages = schedule(iterations, NiceMappingConfig(), released=True, color=True)
     assert tuple(stages.count(stage) for stage in ("middle", "fine", "color")) == counts
     assert stages == sorted(stages, key=["middle", "fine", "color"].index)
 
 
 def test_the_paper_joins_fine_grid_and_colour_after_60_percent():
-    stages = schedule(60, NiceMappingConfig(), reproduce_released_code=False, color=True)
+    stages = schedule(60, NiceMappingConfig(), released=False, color=True)
     assert [stages.count(stage) for stage in ("middle", "fine", "color")] == [37, 0, 23]
-    assert schedule(60, NiceMappingConfig(), reproduce_released_code=False, color=False).count("fine") == 23
+    assert schedule(60, NiceMappingConfig(), released=False, color=False).count("fine") == 23
 
 
 def test_step_sizes():
@@ -45,9 +45,9 @@ def test_keyframes_that_look_elsewhere_do_not_overlap(box_room):
     poses = [box_room.pose(angle) for angle in (0.0, 0.3, np.pi)]
     depths = torch.from_numpy(box_room.depth(poses[0])).float()[None]
     matrices = torch.from_numpy(np.array(poses)).float()
-    seen = overlapping(depths, matrices[0], matrices, CAMERA, torch.Generator().manual_seed(0))
+    seen = overlapping_keyframes(depths, matrices[0], matrices, CAMERA, torch.Generator().manual_seed(0))
     assert sorted(seen) == [0, 1]
-    assert overlapping(depths, matrices[0], matrices[:0], CAMERA, torch.Generator()) == []
+    assert overlapping_keyframes(depths, matrices[0], matrices[:0], CAMERA, torch.Generator()) == []
 
 
 def test_the_newest_keyframe_is_always_in_the_window():

@@ -9,7 +9,7 @@ from uncle.recon.core.errors import ConfigError
 from uncle.recon.core.frame import Frame
 from uncle.recon.methods.confidence.models import ConfidenceModels, save_network
 from uncle.recon.methods.confidence.network import ConfidenceNetwork
-from uncle.recon.methods.nice.confidence_weighting import LEAST, ConfidenceWeighting
+from uncle.recon.methods.nice.confidence_weighting import MIN_CONFIDENCE, ConfidenceWeighting
 from uncle.recon.methods.nice.views import Rays
 from uncle.recon.methods.nice.weighting import UniformWeighting
 from uncle.recon.stages.map import map_run
@@ -45,10 +45,12 @@ def test_clues_are_the_confidences_of_each_sensor(weighting):
     frame = Frame(0, 0.0, torch.zeros(24, 32, 3, dtype=torch.uint8), depths, None)
     weighting_inputs = weighting.weighting_inputs(frame, lambda index, sensor: None)
     assert weighting_inputs.shape == (2, 1, 24, 32)
-    torch.testing.assert_close(weighting_inputs[0, 0], weighting.models.image("a", depths["a"]).clamp(min=LEAST))
+    torch.testing.assert_close(
+        weighting_inputs[0, 0], weighting.models.image("a", depths["a"]).clamp(min=MIN_CONFIDENCE)
+    )
     read = depths["b"] > 0
     torch.testing.assert_close(
-        weighting_inputs[1, 0][read], weighting.models.image("b", depths["b"])[read].clamp(min=LEAST)
+        weighting_inputs[1, 0][read], weighting.models.image("b", depths["b"])[read].clamp(min=MIN_CONFIDENCE)
     )
     assert bool((weighting_inputs[1, 0][~read] == 1).all())
 
@@ -65,14 +67,16 @@ def test_mapping_weighs_each_residual_by_its_confidence_in_every_stage(weighting
 def test_tracking_multiplies_by_it(weighting):
     spread, confidence = torch.rand(5) + 0.1, torch.rand(5, 2) + 0.1
     rays = rays_of(torch.ones(5, 2), confidence)
-    torch.testing.assert_close(weighting.spread(spread, rays), spread[:, None] / confidence, rtol=1e-4, atol=1e-6)
+    torch.testing.assert_close(
+        weighting.residual_scale(spread, rays), spread[:, None] / confidence, rtol=1e-4, atol=1e-6
+    )
 
 
 def test_full_confidence_is_nice_slam(weighting):
     plain = UniformWeighting(NiceConfig(), NiceTrackingConfig())
     rays, valid = rays_of(torch.ones(5, 2), torch.ones(5, 2)), torch.ones(5, 2, dtype=torch.bool)
     residuals, spread = torch.rand(5, 2), torch.rand(5)
-    assert torch.equal(weighting.spread(spread, rays), plain.spread(spread, rays))
+    assert torch.equal(weighting.residual_scale(spread, rays), plain.residual_scale(spread, rays))
     assert weighting.depth_loss(residuals, valid, rays, "fine") == plain.depth_loss(residuals, valid, rays, "fine")
 
 

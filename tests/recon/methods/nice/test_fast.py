@@ -10,10 +10,10 @@ from uncle.recon.methods.nice import fast, kernels
 from uncle.recon.methods.nice.decoders import color_decoder, fine_decoder, middle_decoder
 from uncle.recon.methods.nice.fast import FastEvaluate
 from uncle.recon.methods.nice.frozen import FrozenDecoder
-from uncle.recon.methods.nice.objective import look, mapping_loss, tracking_loss
-from uncle.recon.methods.nice.poses import to_matrix
-from uncle.recon.methods.nice.rays import render
-from uncle.recon.methods.nice.scene import Scene
+from uncle.recon.methods.nice.objective import mapping_loss, render_rays, tracking_loss
+from uncle.recon.methods.nice.poses import to_pose_matrix
+from uncle.recon.methods.nice.rays import render_depth
+from uncle.recon.methods.nice.scene import GridScene
 from uncle.recon.methods.nice.views import Rays
 from uncle.recon.methods.nice.weighting import LaplaceWeighting, UniformWeighting
 from uncle.recon.methods.nice.workers import Workers
@@ -22,18 +22,18 @@ CPU = torch.device("cpu")
 STAGES = ("middle", "fine", "color")
 
 
-def make_scene(loudness: float = 0.7) -> Scene:
+def make_scene(loudness: float = 0.7) -> GridScene:
     """Random features that make some rays end at once and others never."""
     bound = torch.tensor([[-2.0, -2.0, -1.0], [2.0, 2.0, 2.0]])
-    scene = Scene(bound, NiceConfig(decoders="random"), torch.Generator().manual_seed(0), CPU)
+    scene = GridScene(bound, NiceConfig(decoders="random"), torch.Generator().manual_seed(0), CPU)
     generator = torch.Generator().manual_seed(1)
     for grid in scene.grids.values():
         grid.table = torch.randn(grid.table.shape, generator=generator) * loudness
-    scene.learn()
+    scene.unfreeze()
     return scene
 
 
-def plain_values(scene: Scene, points: torch.Tensor, stage: str):
+def plain_values(scene: GridScene, points: torch.Tensor, stage: str):
     """The oracle: what the published code computes, with its layout of the volumes."""
     low, high = scene.bound
     flat = points.reshape(-1, 3)
@@ -51,7 +51,7 @@ def plain_values(scene: Scene, points: torch.Tensor, stage: str):
     outside = ((flat < low) | (flat > high)).any(1)
     logits = torch.where(outside, 100.0, logits).view(points.shape[:2])
     colors = scene.color_decoder(flat, read("color"))[:, :3].view(points.shape) if stage == "color" else None
-    return fast.Values(logits, colors)
+    return fast.FieldValues(logits, colors)
 
 
 def make_rays(count: int = 150) -> Rays:
@@ -84,9 +84,9 @@ def test_values_are_those_of_the_oracle(stage):
     torch.testing.assert_close(plain.logits, expected.logits, atol=2e-4, rtol=1e-4)
     ours = FastEvaluate(scene)(points, stage)
     ends = torch.cumsum(torch.log1p(-torch.sigmoid(10 * expected.logits)), 1)
-    before = torch.cat([torch.zeros(300, 1), ends[:, :-1]], 1) > np.log(fast.PASSED)
+    before = torch.cat([torch.zeros(300, 1), ends[:, :-1]], 1) > np.log(fast.PRUNING.min_transmittance)
     torch.testing.assert_close(ours.logits[before], expected.logits[before], atol=2e-4, rtol=1e-4)
-    seen, wanted = render(ours.logits, z), render(expected.logits, z)
+    seen, wanted = render_depth(ours.logits, z), render_depth(expected.logits, z)
     torch.testing.assert_close(seen.depth, wanted.depth, atol=1e-4, rtol=1e-4)
     torch.testing.assert_close(seen.variance, wanted.variance, atol=1e-4, rtol=1e-3)
     if stage == "color":
@@ -105,12 +105,12 @@ def test_gradients_of_the_mapping_loss(stage, moves):
     )
     learned = [scene.grids[name].table for name in STAGES[: STAGES.index(stage) + 1]]
     learned += list(scene.color_decoder.parameters()) if stage == "color" else []
-    learned += [p for net in weighting.depth_nets for p in net.parameters()] if stage != "middle" else []
+    learned += [p for net in weighting.depth_networks for p in net.parameters()] if stage != "middle" else []
     results = []
     for evaluate in (FastEvaluate(scene), scene.values, lambda p, s: plain_values(scene, p, s)):
         seven = SEVEN.clone().requires_grad_(moves)
-        picture = look(rays, to_matrix(seven), evaluate, scene.bound, stage, scene.config)
-        loss = mapping_loss(picture, rays, weighting, stage)
+        rendered = render_rays(rays, to_pose_matrix(seven), evaluate, scene.bound, stage, scene.config)
+        loss = mapping_loss(rendered, rays, weighting, stage)
         results.append([loss.detach(), *torch.autograd.grad(loss, [*learned, *([seven] if moves else [])])])
     for ours, plain, oracle in zip(*results, strict=True):
         close(plain, oracle, 2e-4)
@@ -120,7 +120,7 @@ def test_gradients_of_the_mapping_loss(stage, moves):
 @pytest.mark.parametrize("weighting", ["uniform", "laplace"])
 def test_gradient_of_the_tracking_loss(weighting):
     scene, rays = make_scene(0.5), make_rays()
-    scene.hold()
+    scene.freeze()
     camera = Camera(8, 6, 9.0, 9.0, 4.0, 3.0)
     judge = (
         UniformWeighting(scene.config, NiceTrackingConfig()) if weighting == "uniform"
@@ -129,8 +129,8 @@ def test_gradient_of_the_tracking_loss(weighting):
     found = []
     for evaluate in (FastEvaluate(scene), lambda p, s: plain_values(scene, p, s)):
         seven = SEVEN.clone().requires_grad_()
-        picture = look(rays, to_matrix(seven), evaluate, scene.bound, "color", scene.config)
-        found.append(torch.autograd.grad(tracking_loss(picture, rays, judge, False), seven)[0])
+        rendered = render_rays(rays, to_pose_matrix(seven), evaluate, scene.bound, "color", scene.config)
+        found.append(torch.autograd.grad(tracking_loss(rendered, rays, judge, False), seven)[0])
     close(*found, 5e-3)
 
 

@@ -85,25 +85,28 @@ def test_features_out_of_view_stay_and_those_in_view_change(frames):
 
 def test_the_last_frame_refines_everything_but_the_colour_decoder(frames):
     system = make_system(frames, track=False)
-    map_all(system, frames, [0, 1])
-    before = [p.detach().clone() for p in system.scene.color_decoder.parameters()]
-    steps = []
-    usual = system.mapper.loss
-    system.mapper.loss = lambda window, poses, stage: steps.append((window.count, stage)) or usual(window, poses, stage)
-    system.mapper._refine(system.mapper.keyframes[-1])
-    assert len(steps) == 5 * 6
-    assert {stage for _, stage in steps} == {"color"}
-    assert all(torch.equal(a, b) for a, b in zip(before, system.scene.color_decoder.parameters(), strict=True))
+    plain = make_system(frames, "nice_mapping.refine=false", track=False)
+    steps, loss = [], system.mapper.loss
+    system.mapper.loss = lambda window, poses, stage: steps.append((window.count, stage)) or loss(window, poses, stage)
+    map_all(system, frames, [0, 1], last=1)
+    map_all(plain, frames, [0, 1], last=1)
+    refinement = steps[4 + 6 :]  # after the steps of both frames
+    assert len(refinement) == 5 * 6
+    assert {stage for _, stage in refinement} == {"color"}
+    decoders = [mapped.scene.color_decoder.parameters() for mapped in (system, plain)]
+    assert all(torch.equal(a, b) for a, b in zip(*decoders, strict=True))
+    tables = [mapped.scene.grids["fine"].table for mapped in (system, plain)]
+    assert not torch.equal(*tables)
 
 
 def test_the_box_grows_when_a_camera_sees_beyond_it(frames, box_room):
     system = make_system(frames, "nice.bound=[]")
     map_all(system, frames, [0])
     bound, grid = system.scene.bound.clone(), system.scene.grids["fine"]
-    system._reach_to(system.prepare(frames[0]), frames.poses[0])
+    system.extend_bound(system.prepare(frames[0]), frames.poses[0])
     assert torch.equal(system.scene.bound, bound)
     turned = box_room.pose(np.pi)
-    system._reach_to(system.prepare(frames[0]), turned)
+    system.extend_bound(system.prepare(frames[0]), turned)
     assert system.scene.bound[0, 0] < bound[0, 0]
     points = bound[0] + torch.rand(50, 3) * (bound[1] - bound[0])
     torch.testing.assert_close(system.scene.grids["fine"].lookup(points), grid.lookup(points), atol=1e-5, rtol=1e-5)

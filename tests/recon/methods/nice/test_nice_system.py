@@ -47,7 +47,7 @@ def test_the_walls_are_found(make_mappable_run, box_room, method):
     assert run.beta_path("noisy", 0).exists() == (method == "uncle-paper")
     learned = load_tensors(run.method_state_path)
     assert learned["scene"]["grids"]["fine"]["table"].shape[1] == 32
-    assert list(learned["noise"]) == (["gt", "noisy", " color"] if method == "uncle-paper" else [])
+    assert list(learned["noise"]) == (["depth/gt", "depth/noisy", "color"] if method == "uncle-paper" else [])
     assert list(learned["keyframes"]) == [0, 4]
     assert run.manifest.stages["map"].facts["keyframes"] == 2
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 from uncle.recon.core.camera import Camera
-from uncle.recon.methods.nice.noise import NoiseNet, gather_patches, noise_images
+from uncle.recon.methods.nice.noise import NoiseNet, gather_patches, noise_inputs
 
 
 @pytest.mark.parametrize(("inputs", "parameters"), [(2, 5889), (7, 9889), (3, 6689)])
@@ -39,7 +39,7 @@ def test_a_frontal_wall_is_seen_at_angle_zero():
     depth, normals = torch.full((9, 9), 2.0), torch.zeros(9, 9, 3)
     normals[..., 2] = -1.0
     normals[0, 0] = 0.0
-    images = noise_images(depth, normals, camera, 2, reproduce_released_code=False)
+    images = noise_inputs(depth, normals, camera, 2, released=False)
     assert images.shape == (2, 9, 9)
     assert images[1, 4, 4] == 0.0
     assert images[1, 4, 8] == pytest.approx(math.atan(4 / 20), abs=1e-3)
@@ -48,7 +48,7 @@ def test_a_frontal_wall_is_seen_at_angle_zero():
 
 def test_the_published_code_has_the_cosine_of_its_own_normals():
     camera = Camera(12, 12, 20.0, 20.0, 5.5, 5.5)
-    images = noise_images(torch.full((12, 12), 2.0), torch.zeros(12, 12, 3), camera, 7, reproduce_released_code=True)
+    images = noise_inputs(torch.full((12, 12), 2.0), torch.zeros(12, 12, 3), camera, 7, released=True)
     assert images.shape == (7, 12, 12)
     np.testing.assert_allclose(images[3, 4:8, 4:8], 1.0, atol=1e-3)  # normals point away from the camera
     np.testing.assert_allclose(images[4, 5, 5], 1.0, atol=1e-3)

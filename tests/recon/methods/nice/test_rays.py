@@ -2,7 +2,7 @@
 
 import pytest
 import torch
-from uncle.recon.methods.nice.rays import box_exit, ray_weights, render, sample_depths
+from uncle.recon.methods.nice.rays import box_exit, ray_weights, render_depth, sample_depths
 
 
 def test_where_rays_leave_a_box():
@@ -34,18 +34,18 @@ def test_a_batch_without_readings_is_sampled_up_to_the_box():
 
 def test_a_wall_is_rendered_where_it_stands():
     z = torch.linspace(0.1, 4.0, 40)[None]
-    seen = render(torch.where(z < 2.05, -5.0, 5.0), z)
+    seen = render_depth(torch.where(z < 2.05, -5.0, 5.0), z)
     assert seen.depth.item() == pytest.approx(2.1, abs=1e-4)
     assert seen.variance.item() == pytest.approx(0.0, abs=1e-4)
 
 
 def test_half_and_half():
     """Occupancy 1/2 at 1 m and 1 at 3 m: depth 2 m, variance 1."""
-    seen = render(torch.tensor([[-9.0, 0.0, -9.0, 9.0]]), torch.tensor([[0.5, 1.0, 2.0, 3.0]]))
+    seen = render_depth(torch.tensor([[-9.0, 0.0, -9.0, 9.0]]), torch.tensor([[0.5, 1.0, 2.0, 3.0]]))
     torch.testing.assert_close(seen.weights, torch.tensor([[0.0, 0.5, 0.0, 0.5]]), atol=1e-6, rtol=0)
     assert (seen.depth.item(), seen.variance.item()) == (pytest.approx(2.0), pytest.approx(1.0))
 
 
 def test_empty_space_has_depth_zero():
-    assert render(torch.full((1, 8), -9.0), torch.ones(1, 8)).depth.item() == pytest.approx(0.0, abs=1e-6)
+    assert render_depth(torch.full((1, 8), -9.0), torch.ones(1, 8)).depth.item() == pytest.approx(0.0, abs=1e-6)
     assert ray_weights(torch.randn(5, 20)).sum(1).max() <= 1 + 1e-5
