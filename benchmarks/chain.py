@@ -31,7 +31,8 @@ SENSOR_COLUMNS = (
     ("rank corr.", "rank_correlation", 1, 3, True),
     ("NLL nats", "nll_nats", 1, 3, False), ("NLL constant", "nll_constant_nats", 1, 3, False),
     ("50 % covers %", "coverage_50", 100, 1, False), ("90 % covers %", "coverage_90", 100, 1, False),
-    ("calibrated 50 %", "calibrated_coverage_50", 100, 1, False), ("calibrated 90 %", "calibrated_coverage_90", 100, 1, False),
+    ("calibrated 50 %", "calibrated_coverage_50", 100, 1, False),
+    ("calibrated 90 %", "calibrated_coverage_90", 100, 1, False),
     ("AUSE", "ause", 1, 3, False), ("closer than depth alone %", "ause_gain", 100, 1, False),
 )  # fmt: skip
 

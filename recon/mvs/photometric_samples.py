@@ -25,7 +25,7 @@ class DepthOffset(Protocol):
 class SurfaceRays(Protocol):
     """The part of `TsdfSurface` that is compared at the pixels of a view."""
 
-    def along(self, rays: Tensor, T_world_camera: Tensor) -> Tensor:
+    def depth_along_rays(self, rays: Tensor, T_world_camera: Tensor) -> Tensor:
         """(N, 3) rays of a camera -> (N,) z-depth of the surface, metres, 0 = none."""
         ...
 

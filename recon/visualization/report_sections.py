@@ -63,13 +63,13 @@ def overview_section(run: RunDirectory, manifest: Manifest) -> str:
     record = manifest.stages.get("map")
     facts = record.facts if record is not None else {}
     method, mapped_sensors = facts.get("method"), facts.get("sensors")
-    has_sensors = isinstance(mapped_sensors, list | tuple)
+    in_map = ", ".join(map(str, mapped_sensors)) if isinstance(mapped_sensors, list | tuple) else "unknown"
     skipped = f" ({len(manifest.skipped)} skipped)" if manifest.skipped else ""
     rows = [
         ("Data set", manifest.dataset),
         ("Format", manifest.dataset_format),
         ("Sensors", ", ".join(manifest.sensors)),
-        ("Sensors in the map", ", ".join(map(str, mapped_sensors)) if has_sensors else "unknown"),
+        ("Sensors in the map", in_map),
         ("Frames", f"{len(RunFrames(run))}{skipped}"),
         ("Camera", f"{camera.width} x {camera.height}, f {camera.fx:.1f} {camera.fy:.1f}"),
         ("Method", str(method) if method else "unknown" if record is not None else "no map yet"),

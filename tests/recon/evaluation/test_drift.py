@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
-from uncle.recon.evaluation.drift import measure_drift, rotation_angles
+from uncle.recon.core.se3 import rotation_angle
+from uncle.recon.evaluation.drift import measure_drift
 
 
 def straight(count: int = 101, step_m: float = 0.05) -> np.ndarray:
@@ -62,5 +63,5 @@ def test_short_still_and_single_poses():
 def test_angles_near_zero_and_near_half_a_turn():
     angles = np.array([0.0, 1e-9, 1.0, np.pi - 1e-7, np.pi])
     axis = np.array([0.6, 0.0, 0.8])
-    np.testing.assert_allclose(rotation_angles(Rotation.from_rotvec(angles[:, None] * axis).as_matrix()), angles,
-                               atol=1e-12)  # fmt: skip
+    rotations = Rotation.from_rotvec(angles[:, None] * axis).as_matrix()
+    np.testing.assert_allclose(rotation_angle(rotations), angles, atol=1e-12)

@@ -4,7 +4,7 @@ import json
 
 from uncle.recon.run.directory import RunDirectory
 from uncle.recon.sensors.fault_record import FaultInterval, fault_intervals, fault_sentences, save_faults
-from uncle.recon.stages.report import fault_section
+from uncle.recon.visualization.report_sections import fault_section
 
 
 def spelled(letters: str, first: int = 0, step: int = 1):

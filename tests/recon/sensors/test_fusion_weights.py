@@ -2,11 +2,7 @@
 
 import torch
 from uncle.recon.core.config.uncle import FusionConfig
-from uncle.recon.sensors.fusion_weights import (
-    FusionWeightParameters,
-    FusionWeights,
-    median_weight,
-)
+from uncle.recon.sensors.fusion_weights import FusionWeightParameters, FusionWeights, median_weight
 
 PARAMETERS = FusionWeightParameters()
 VALID = torch.tensor([[True, True, True, False]])

@@ -10,11 +10,7 @@ from uncle.recon.core.mesh import Mesh
 from uncle.recon.core.mesh_raycaster import Surface
 from uncle.recon.visualization import mesh_pictures as snapshot
 from uncle.recon.visualization import offscreen
-from uncle.recon.visualization.mesh_pictures import (
-    RENDERERS,
-    draw_mesh,
-    snapshot_views,
-)
+from uncle.recon.visualization.mesh_pictures import RENDERERS, draw_mesh, snapshot_views
 from uncle.recon.visualization.shading import Geometry, light_triangles
 from uncle.recon.visualization.views import View, guess_up, mesh_views, run_views, spread_poses, trajectory_up
 
