@@ -25,7 +25,7 @@ def test_every_variant_is_made_of_settings_that_there_are():
     variants = ablation.choose_variants(["paper", "own"])
     assert len(variants) > 15
     configs = [make_config("uncle", list(settings)) for settings in variants.values()]
-    seen = [input_mask(config.uncertainty.features) for config in configs]
+    seen = [input_mask(config.uncertainty.inputs) for config in configs]
     paper = [configs[list(variants).index(name)].uncertainty for name in ablation.GROUPS["paper"]]
     assert len({(config.inputs, config.beta_min_m) for config in paper}) == 8
     assert {config.beta_min_m for config in paper} == {1e-3, 1e-1}

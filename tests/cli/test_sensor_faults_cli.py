@@ -61,7 +61,7 @@ def test_faults_are_reported_and_the_map_survives(tmp_path):
     spoil(room, "left_sgm_depth")
     said, sensors, spoilt = map_and_score(room, tmp_path / "spoilt")
     assert sensors["sgm"]["sentences"] == [
-        "sgm: no readings from frame 12 to 15",
+        "sgm: no measurements from frame 12 to 15",
         "sgm: frozen from frame 8 to 11, left out",
         "sgm: inconsistent with the map from frame 16 to 19, left out",
     ]

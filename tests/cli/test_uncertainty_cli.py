@@ -72,7 +72,7 @@ def test_table_has_a_column_for_each_sensor(run):
     result = uncle("uncertainty", "--run", run.root)
     assert result.exit_code == 0, result.output
     lines = {line.split("│")[1].strip(): line.split("│")[2:4] for line in result.stdout.splitlines() if "│" in line}
-    assert [cell.strip() for cell in lines["share in the map"]] == ["25.0", "%"]
+    assert [cell.strip() for cell in lines["weight share"]] == ["25.0", "%"]
     assert [cell.strip() for cell in lines["beta at 5 m"]] == ["-", "cm"]
     assert float(lines["beta at 2 m"][0]) == pytest.approx(4.0, rel=0.1)
     assert "coverage of the 50 % interval" in lines
@@ -112,11 +112,11 @@ def test_sensors_outside_the_map_are_named(make_mappable_run):
     result = uncle("uncertainty", "--run", run.root)
     assert result.exit_code == 0, result.output
     assert "left out: other: it has no beta maps" in result.stdout
-    assert "learned no uncertainty of other" in one_line(uncle("uncertainty", "--run", run.root, "--sensor", "other"))
+    assert "has no uncertainty of other" in one_line(uncle("uncertainty", "--run", run.root, "--sensor", "other"))
 
 
 def test_mistakes_are_one_line(run, make_box_run, tmp_path):
-    assert "no sensor called 'sl'" in one_line(uncle("uncertainty", "--run", run.root, "--sensor", "sl"))
+    assert "no such estimated sensor" in one_line(uncle("uncertainty", "--run", run.root, "--sensor", "sl"))
     assert "no sensor called 'gt'" in one_line(uncle("uncertainty", "--run", run.root, "--sensor", "gt"))
     assert "frames 0 to 11" in one_line(uncle("uncertainty", "--run", run.root, "--frame", 12))
     assert "uncle preprocess" in one_line(uncle("uncertainty", "--run", tmp_path / "none"))
