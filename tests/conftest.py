@@ -144,7 +144,7 @@ def threads(request) -> Iterator[int]:
     torch.set_num_threads(before)
 
 
-# Tests that still ask for wording or names from before the renaming; each is to be rewritten, and this list to be emptied.
+# Tests that still ask for wording or names from before the renaming: each is to be rewritten, until the list is empty.
 OUTDATED = (
     "test_lazy.py::test_every_name_of_a_face_can_be_imported",
     "test_depth_metrics.py::test_box_of_centres_is_the_published_one",
