@@ -98,7 +98,10 @@ def _neighbourhood(
 
 
 @njit(nogil=True, cache=True)
-def _summarise(inverse, ratio, mean, square, spread, offset, holes):  # type: ignore[no-untyped-def]
+def _summarise(
+    inverse: np.ndarray, ratio: np.ndarray, mean: np.ndarray, square: np.ndarray, spread: np.ndarray,
+    offset: np.ndarray, holes: np.ndarray,
+) -> None:  # fmt: skip
     """Images (N,); `ratio` of measured pixels, `mean` and mean `square` of all in the window, holes counting as 0."""
     few, most, nothing, one = np.float32(1e-6), np.float32(MAX_ENCODED), np.float32(0), np.float32(1)
     for pixel in range(len(inverse)):

@@ -165,7 +165,7 @@ class PixelNetwork(nn.Module, ABC):
             error, total_scale = metres[batch] - offset, torch.hypot(scale, residuals.reference_scale[batch])
             loss = loss_of(error, total_scale).mean()
             self.optimizer.zero_grad()
-            loss.backward()  # type: ignore[no-untyped-call]
+            loss.backward()
             self.optimizer.step(self.config.learning_rate * (1 - fall * step / steps))
             self.is_trained = True
             nats = laplace_nll(error, total_scale).detach().mean() if step + 1 == steps else nats

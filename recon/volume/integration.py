@@ -136,9 +136,10 @@ def _array(values: Tensor | None) -> np.ndarray:
 
 @njit(nogil=True, cache=True)
 def _add(
-    sums, color_sums, ids, corners, steps, depth, weight, free_weight, free_scale, color, weighted, pinhole, truncation,
-    farthest, sign,
-):  # fmt: skip
+    sums: np.ndarray, color_sums: np.ndarray, ids: np.ndarray, corners: np.ndarray, steps: np.ndarray,
+    depth: np.ndarray, weight: np.ndarray, free_weight: np.ndarray, free_scale: np.ndarray, color: np.ndarray,
+    weighted: bool, pinhole: np.ndarray, truncation: np.float32, farthest: np.float32, sign: np.float32,
+) -> None:  # fmt: skip
     """corners (M, 3) and steps (512, 3) in camera axes; pinhole: fx, fy and the principal point from a pixel's corner.
 
     Missing images have no element.

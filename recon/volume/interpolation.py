@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import torch
 from torch import Tensor
 from torch.nn.functional import embedding_bag
@@ -9,13 +11,13 @@ from torch.nn.functional import embedding_bag
 
 class _WeightedRows(torch.autograd.Function):
     @staticmethod
-    def forward(ctx, table: Tensor, rows: Tensor, weights: Tensor) -> Tensor:
+    def forward(ctx: Any, table: Tensor, rows: Tensor, weights: Tensor) -> Tensor:
         ctx.save_for_backward(rows, weights)
         ctx.size = len(table)
         return embedding_bag(rows, table, mode="sum", per_sample_weights=weights)
 
     @staticmethod
-    def backward(ctx, grad: Tensor) -> tuple[Tensor, None, None]:
+    def backward(ctx: Any, grad: Tensor) -> tuple[Tensor, None, None]:
         rows, weights = ctx.saved_tensors
         spread = (weights[..., None] * grad[:, None]).view(-1, grad.shape[1])
         # One addition per corner; PyTorch's own dense backward sorts all corners first, which takes longer.
@@ -27,4 +29,5 @@ def weighted_rows(table: Tensor, rows: Tensor, weights: Tensor) -> Tensor:
 
     Differentiable in the table only.
     """
-    return _WeightedRows.apply(table, rows, weights)
+    result: Tensor = _WeightedRows.apply(table, rows, weights)  # type: ignore[no-untyped-call]
+    return result

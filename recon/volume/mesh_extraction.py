@@ -115,7 +115,8 @@ def _in_sight(surface: Surface, centre: np.ndarray, points: np.ndarray, toleranc
     directions = points - centre.astype(points.dtype)
     distances = np.linalg.norm(directions, axis=1)
     hit = surface.cast(centre, directions) * distances
-    return (hit == 0) | (hit > distances - tolerance_m)  # no hit: the ray slipped past the border at the point itself
+    in_sight: np.ndarray = (hit == 0) | (hit > distances - tolerance_m)  # no hit: the ray slipped past the border
+    return in_sight
 
 
 def _grid_at(field: NeuralField, voxel_size_m: float | None) -> tuple[SparseGrid, BlockSamples]:

@@ -22,9 +22,9 @@ def cast_rays(
     camera (`Camera.rays`, rotated). `step_m` must not exceed the truncation. Returns (N,) metres, 0 = no hit.
     """
     if sdf.device.type == "cpu":
-        rays = (np.ascontiguousarray(part.numpy(), dtype=np.float32) for part in (origins, directions))
-        steps = int(far_m / step_m) + 1
-        depth = _march(*rays, sdf.numpy(), known.numpy(), *grid.lookup(), grid.voxel_size_m, step_m, steps)
+        starts, rays = (np.ascontiguousarray(part.numpy(), dtype=np.float32) for part in (origins, directions))
+        volume, origin, steps = *grid.lookup(), int(far_m / step_m) + 1
+        depth = _march(starts, rays, sdf.numpy(), known.numpy(), volume, origin, grid.voxel_size_m, step_m, steps)
         return torch.from_numpy(depth)
     return cast_tensors(grid, sdf, known, origins, directions, far_m, step_m)
 

@@ -15,6 +15,7 @@ BLOCK_BITS = 3
 BLOCK = 1 << BLOCK_BITS  # samples on a side: a power of two, so that compiled loops find blocks by shifts
 ROWS = BLOCK**3
 _LAST = BLOCK - 1
+Index = int | np.int64
 _MARGIN = 8  # blocks of slack when the lookup volume grows, so that it does not grow with every frame
 
 
@@ -138,7 +139,7 @@ def unique_blocks(blocks: Tensor) -> Tensor:
 
 
 @njit(nogil=True, cache=True)
-def row_of(x: int, y: int, z: int, volume: np.ndarray, origin: np.ndarray) -> int | np.int64:
+def row_of(x: Index, y: Index, z: Index, volume: np.ndarray, origin: np.ndarray) -> Index:
     """`SparseGrid.sample_rows` of one sample, for compiled loops; volume and origin from `SparseGrid.lookup`."""
     i, j, k = (x >> BLOCK_BITS) - origin[0], (y >> BLOCK_BITS) - origin[1], (z >> BLOCK_BITS) - origin[2]
     if i < 0 or j < 0 or k < 0 or i >= volume.shape[0] or j >= volume.shape[1] or k >= volume.shape[2]:

@@ -38,9 +38,11 @@ class TsdfQuery:
 def query_numba(volume: TsdfVolume, points: Tensor, T_world_points: Tensor) -> TsdfQuery:
     """The map at points (N, 3) moved by T_world_points (4, 4), on the CPU: `query_torch` as one compiled loop."""
     values, kept = np.empty((len(points), _COLUMNS), np.float32), np.empty(len(points), np.int64)
-    tables = (volume.sums.numpy(), volume.color_sums.numpy(), *volume.grid.lookup())
-    places = (points.numpy(), T_world_points[:3, :3].numpy(), T_world_points[:3, 3].numpy())
-    count = _query_loop(*places, *tables, volume.grid.voxel_size_m, ERROR_CORRELATION, MIN_SIGMA_M, values, kept)
+    ids, origin = volume.grid.lookup()
+    count = _query_loop(
+        points.numpy(), T_world_points[:3, :3].numpy(), T_world_points[:3, 3].numpy(), volume.sums.numpy(),
+        volume.color_sums.numpy(), ids, origin, volume.grid.voxel_size_m, ERROR_CORRELATION, MIN_SIGMA_M, values, kept,
+    )  # fmt: skip
     columns = torch.from_numpy(values[:count])
     sdf, gradient, sigma, grey, grey_gradient = columns.split([1, 3, 1, 1, 3], 1)
     return TsdfQuery(torch.from_numpy(kept[:count]), sdf[:, 0], gradient, sigma[:, 0], grey[:, 0], grey_gradient)
@@ -74,8 +76,10 @@ def _interpolated(values: Tensor, weights: Tensor, slopes: Tensor) -> tuple[Tens
 
 @njit(nogil=True, cache=True)
 def _query_loop(
-    points, rotation, shift, sums, color_sums, volume, origin, voxel, error_correlation, min_sigma, values, kept
-):  # fmt: skip
+    points: np.ndarray, rotation: np.ndarray, shift: np.ndarray, sums: np.ndarray, color_sums: np.ndarray,
+    volume: np.ndarray, origin: np.ndarray, voxel: float, error_correlation: float, min_sigma: float,
+    values: np.ndarray, kept: np.ndarray,
+) -> int:  # fmt: skip
     """Fills `values` (N, _COLUMNS) and `kept` (N,); returns how many points are inside the map."""
     count, rows, place = 0, np.empty(8, np.int64), np.empty(3)
     for point in range(len(points)):
@@ -92,7 +96,9 @@ def _query_loop(
 
 
 @njit(nogil=True, cache=True, inline="always")
-def _corners(place, voxel, sums, volume, origin, rows):
+def _corners(
+    place: np.ndarray, voxel: float, sums: np.ndarray, volume: np.ndarray, origin: np.ndarray, rows: np.ndarray
+) -> bool:
     """The rows of the samples around `place`, which becomes its place between them, 0..1; whether all are known."""
     i, j, k = (np.int64(np.floor(place[0] / voxel)), np.int64(np.floor(place[1] / voxel)),
                np.int64(np.floor(place[2] / voxel)))  # fmt: skip
@@ -106,7 +112,10 @@ def _corners(place, voxel, sums, volume, origin, rows):
 
 
 @njit(nogil=True, cache=True, inline="always")
-def _blend(part, voxel, rows, sums, color_sums, error_correlation, min_sigma, result):
+def _blend(
+    part: np.ndarray, voxel: float, rows: np.ndarray, sums: np.ndarray, color_sums: np.ndarray,
+    error_correlation: float, min_sigma: float, result: np.ndarray,
+) -> None:  # fmt: skip
     result[:] = 0
     for corner in range(8):
         row = rows[corner]

@@ -174,11 +174,14 @@ class TsdfVolume:
         visible = self._visible(depth, T_camera_world)
         if block_count < len(self.grid.blocks):
             visible = visible[visible < block_count]
-        free = (None, None) if free_space is None or weight is None else (free_space.weight, free_space.scale_m)
+        free_space = None if weight is None else free_space
+        image = Observation(
+            depth, weight, None if free_space is None else free_space.weight,
+            None if free_space is None else free_space.scale_m, color, T_camera_world,
+        )  # fmt: skip
         integrate(
             self.sums, self.color_sums, visible, self.grid.blocks[visible].float() * self.grid.block_size_m,
-            self.grid.inner_offsets(), Observation(depth, weight, *free, color, T_camera_world), self.camera,
-            Bounds(self.truncation_m, self.max_depth_m), sign,
+            self.grid.inner_offsets(), image, self.camera, Bounds(self.truncation_m, self.max_depth_m), sign,
         )  # fmt: skip
 
     def clear_empty(self) -> None:
@@ -224,14 +227,15 @@ class TsdfVolume:
 
 
 def _mean_sdf(sums: Tensor) -> Tensor:
-    return sums[..., 1] / sums[..., 0].clamp(min=1e-12)
+    mean: Tensor = sums[..., 1] / sums[..., 0].clamp(min=1e-12)
+    return mean
 
 
 def _extended(rows: Tensor, count: int) -> Tensor:
     """`rows` (R, C) with zeros appended up to `count`; takes spare room with each copy, so that copies are few."""
     spare = rows.untyped_storage().nbytes() // (rows.element_size() * rows.shape[1])
     if spare >= count:
-        return rows.new_empty(0).set_(rows.untyped_storage(), 0, (count, rows.shape[1]))
+        return rows.new_empty(0).set_(rows.untyped_storage(), 0, (count, rows.shape[1]), (rows.shape[1], 1))
     room = rows.new_zeros(int(count * _SPARE) + ROWS, rows.shape[1])
     room[: len(rows)] = rows
     return room[:count]

@@ -8,8 +8,8 @@ from .base import Strict
 
 
 class ConfidenceConfig(Strict):
-    """Which networks judge the readings."""
+    """The confidence networks of the sensors."""
 
     files: tuple[str, ...] = Field(
-        (), description="Networks of `uncle pretrain confidence`, a sensor each; those of other sensors: the package's."
+        (), description="Files of `uncle pretrain confidence`, one per sensor; other sensors use those of the package."
     )

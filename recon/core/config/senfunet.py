@@ -13,10 +13,10 @@ class SenfunetConfig(Strict):
     """The learned fusion of two sensors."""
 
     file: str = Field(
-        "", description="Networks of the two sensors, a file of `uncle pretrain senfunet`; empty: those of the package."
+        "", description="File of `uncle pretrain senfunet` for the two sensors; empty: that of the package."
     )
     outlier_filter: bool = Field(
-        True, description="Leave out what one sensor alone reads where its own weight is less than half."
+        True, description="Remove surfaces that only one sensor observed where its weight is below one half."
     )
 
 

@@ -14,37 +14,48 @@ class FusionConfig(Strict):
 
     voxel_size_m: float = Field(0.02, gt=0.001, le=0.5, description="Distance between the samples of the map, metres.")
     truncation_voxels: float = Field(
-        4.0, ge=2.0, le=16.0, description="Distances are cut off at this many voxels before and behind a reading."
+        4.0,
+        ge=2.0,
+        le=16.0,
+        description="Distances are truncated at this many voxels in front of and behind a measurement.",
     )
-    max_depth_m: float = Field(6.0, gt=0.1, le=1000.0, description="Readings farther than this take no part, metres.")
+    max_depth_m: float = Field(
+        6.0, gt=0.1, le=1000.0, description="Measurements beyond this depth are ignored, metres."
+    )
     discretisation_voxels: float = Field(
-        0.5, ge=0, description="What the grid itself cannot resolve, added to beta in the weights."
+        0.5, ge=0, description="Discretisation error of the grid, added to beta in the fusion weights, voxels."
     )
-    min_observations: float = Field(3.0, ge=1.0, description="A sample seen less often is not part of the surface.")
+    min_observations: float = Field(
+        3.0, ge=1.0, description="A sample with fewer observations is not part of the surface."
+    )
     passes: int = Field(
         1,
         ge=0,
-        description="Integration passes over all frames after the online pass, each with what was learned before.",
+        description="Integration passes over all frames after the online pass, each with the latest noise models.",
     )
 
 
 class UncertaintyConfig(Strict):
-    """The network h_w of each sensor: from its image to the scale beta of the error of each reading."""
+    """The noise model h_w of each sensor: a network from its image to the error scale beta of each pixel."""
 
-    enabled: bool = Field(True, description="Learn how noisy each sensor is; false: every reading weighs the same.")
+    enabled: bool = Field(
+        True, description="Learn the noise of each sensor; false: all measurements have the same weight."
+    )
     hidden: int = Field(16, ge=4, description="Width of the two hidden layers.")
     inputs: tuple[str, ...] = Field(
-        (), description='Inputs that the network sees, for ablations, such as ["depth", "incidence"]; empty: all.'
+        (), description='Inputs of the network, for ablations, such as ["depth", "incidence"]; empty: all.'
     )
-    beta_min_m: float = Field(1e-3, gt=0, description="Smallest beta, metres (paper: 1e-3).")
+    beta_min_m: float = Field(1e-3, gt=0, description="Smallest beta, metres (1e-3 in UncLe-SLAM).")
     learning_rate: float = Field(
-        3e-3, gt=0, description="Step size of Adam at the start of each round; it falls to a tenth."
+        3e-3, gt=0, description="Step size of Adam at the start of each training; it falls linearly to a tenth."
     )
     steps_per_keyframe: int = Field(
-        10, ge=0, description="Steps on the pixels of each new keyframe, before it is fused."
+        10, ge=0, description="Training steps on the pixels of each new keyframe before it is integrated."
     )
-    steps_per_pass: int = Field(400, ge=0, description="Steps on the pixels of all keyframes after each sweep.")
-    batch: int = Field(4096, ge=16, description="Pixels in each step.")
+    steps_per_pass: int = Field(
+        400, ge=0, description="Training steps on the pixels of all keyframes after each integration pass."
+    )
+    batch: int = Field(4096, ge=16, description="Pixels of a training step.")
 
 
 class KeyframeConfig(Strict):
@@ -76,17 +87,17 @@ class FieldConfig(Strict):
     levels: tuple[Annotated[int, Field(ge=1, le=64)], ...] = Field(
         (4, 12), description="Cell sizes of the coarser feature grids, 1 to 64 voxels each."
     )
-    channels: int = Field(4, ge=1, description="Features at each sample of those grids.")
+    channels: int = Field(4, ge=1, description="Number of features at each sample of the coarser grids.")
     hidden: int = Field(24, ge=4, description="Width of the decoder's hidden layer.")
     learning_rate_sdf_m: float = Field(
         1e-4, gt=0, description="Step size of Adam for the offsets at the samples near the surface, metres."
     )
     learning_rate: float = Field(2.5e-3, gt=0, description="Step size of Adam for the feature grids and the decoder.")
     sensor_only_rate_ratio: float = Field(
-        0.1, gt=0, le=1, description="Factor on that step size where there is no photometric depth."
+        0.1, gt=0, le=1, description="Factor on `learning_rate` where there is no photometric depth."
     )
     final_rate_ratio: float = Field(
-        0.05, gt=0, le=1, description="Factor on both step sizes that is reached at the last step."
+        0.05, gt=0, le=1, description="Factor on both step sizes at the last step; they fall to it gradually."
     )
     color_weight: float = Field(0.1, ge=0, description="Weight of the colour error beside the likelihood of depth.")
     prior_weight: float = Field(1.0, ge=0, description="Weight of the penalty on offsets from the fused distances.")
@@ -130,36 +141,41 @@ class PhotometricConfig(Strict):
 
 
 class TrackingConfig(Strict):
-    """Finding the camera of every frame."""
+    """Estimation of the pose of every frame."""
 
-    enabled: bool = Field(
-        False, description="Estimate the poses; false: take those of the recording; set by `--track`."
-    )
+    enabled: bool = Field(False, description="Estimate the poses; false: use those of the recording; set by `--track`.")
     color: bool = Field(
         True, description="Use colour: features and photometric residuals; set by `--color` and `--no-color`."
     )
-    features: int = Field(1000, ge=50, description="Features taken from an image, the strongest.")
-    depth_samples: int = Field(
-        1000, ge=0, description="Depth readings of each sensor that are aligned with the surface."
-    )
+    features: int = Field(1000, ge=50, description="Maximum number of features of an image, the strongest first.")
+    depth_samples: int = Field(1000, ge=0, description="Depth samples of each sensor that are aligned with the map.")
     integrate_every: int = Field(
-        3, ge=1, description="Every n-th frame, and every keyframe, enters the map while tracking; all do afterwards."
+        3, ge=1, description="Every n-th frame and every keyframe is integrated while tracking; the others afterwards."
     )
     keyframe_matches: int = Field(80, ge=12, description="A frame with fewer matches becomes a keyframe.")
-    keyframe_rotation_rad: float = Field(0.1, gt=0, description="So does one that turned by more, radians,")
+    keyframe_rotation_rad: float = Field(
+        0.1, gt=0, description="A frame that rotated by more than this since the last keyframe becomes one, radians."
+    )
     keyframe_translation_ratio: float = Field(
-        0.05, gt=0, description="or moved by more than this share of the depth it sees."
+        0.05, gt=0, description="A frame that moved by more than this fraction of its depth becomes a keyframe."
     )
 
 
 class FaultDetectionConfig(Strict):
-    """Noticing sensors that drop out, freeze or go wrong in the middle of a recording."""
+    """Detection of sensors that drop out, freeze or disagree with the map in the middle of a recording."""
 
-    enabled: bool = Field(True, description="Leave out what a sensor reads while it is at fault; false: believe it.")
+    enabled: bool = Field(
+        True, description="Leave out a sensor in the frames in which it is faulty; false: use all measurements."
+    )
     min_valid_ratio: float = Field(
-        0.05, ge=0, lt=1, description="A sensor is missing in a frame with at most this share of its usual readings."
+        0.05,
+        ge=0,
+        lt=1,
+        description="A sensor is missing in a frame with at most this fraction of its usual valid pixels.",
     )
     max_median_shift: float = Field(
-        0.03, gt=0, description="A median error against the map is borne, if earlier ones reach to this share of depth."
+        0.03,
+        gt=0,
+        description="Allowed shift of a sensor's median relative depth error beyond the range of its earlier frames.",
     )
-    max_mad: float = Field(0.05, gt=0, description="So is this median deviation from it, as a share of depth.")
+    max_mad: float = Field(0.05, gt=0, description="Allowed median absolute deviation of the relative depth error.")

@@ -79,7 +79,7 @@ class RoomSurface:
     def __init__(self, room) -> None:
         self.room = room
 
-    def along(self, rays, T_world_camera):
+    def depth_along_rays(self, rays, T_world_camera):
         u, v, _ = self.room.camera.project(rays)
         depth = torch.from_numpy(self.room.depth(T_world_camera.numpy().astype(np.float64))).float()
         return depth[v.round().long(), u.round().long()]
