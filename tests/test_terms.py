@@ -22,8 +22,6 @@ PENDING: set[str] = {
     "datasets/synth/path.py",
     "datasets/synth/sensors.py",
     "datasets/tum.py",
-    "recon/core/frame.py",
-    "recon/core/normals.py",
     "recon/evaluation/bench/process.py",
     "recon/evaluation/bench/variants.py",
     "recon/evaluation/depth_metrics.py",
@@ -48,7 +46,6 @@ PENDING: set[str] = {
     "tests/datasets/test_clocks.py",
     "tests/recon/methods/nice/test_noise.py",
     "tests/recon/methods/vox/test_vox_loss.py",
-    "tests/recon/sensors/test_noise_prior.py",
 }
 SOURCES = ("recon", "cli", "datasets", "benchmarks", "examples", "tests", "docs", ".github")
 SUFFIXES = {".py", ".md", ".toml", ".yml", ".yaml", ".cff"}

@@ -24,14 +24,14 @@ class Moments:
 
 
 class Adam:
-    """Moves `parameters` down their gradients. Each call of `step` says how far."""
+    """The optimiser of `parameters`; each call of `step` is given the step size."""
 
     def __init__(self, parameters: Iterable[Tensor]) -> None:
         self.parameters = list(parameters)
-        self.moments: dict[int, Moments] = {}  # by place in `parameters`; of those that ever had a gradient
+        self.moments: dict[int, Moments] = {}  # by position in `parameters`; of those that ever had a gradient
 
     def zero_grad(self) -> None:
-        """Forget the gradients."""
+        """Clear the gradients."""
         for parameter in self.parameters:
             parameter.grad = None
 

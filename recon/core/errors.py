@@ -1,6 +1,6 @@
 """Errors that a user can act on.
 
-Each message says what went wrong, where, and what to do next. The command line prints them as one line and exits
+Each message states what went wrong, where, and what to do next. The command line prints them as one line and exits
 with code 1; any other exception is a defect of the program and keeps its traceback.
 """
 

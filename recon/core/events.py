@@ -1,4 +1,4 @@
-"""What the library tells its caller while it works. It never prints; a caller draws bars and lines from these."""
+"""Events that the library reports to its caller while it works. It never prints; the caller shows them."""
 
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
@@ -36,7 +36,7 @@ T = TypeVar("T")
 
 
 def ignore(event: Event) -> None:
-    """The listener that does not listen."""
+    """A listener that does nothing."""
 
 
 def track_progress(items: Iterable[T], total: int, stage: str, on_event: OnEvent, unit: str = "frames") -> Iterator[T]:

@@ -17,7 +17,7 @@ class Frame:
     """One instant of a recording. All sensors share the camera of the recording.
 
     color            (H, W, 3) uint8 RGB
-    depths           sensor name -> (H, W) float32 z-depth in metres, 0 where there is no reading
+    depths           sensor name -> (H, W) float32 z-depth in metres, 0 where there is no measurement
     T_world_camera   (4, 4) float64, OpenCV camera axes, metres; None where the recording has no (finite) pose
     timestamp        seconds, or the frame index where the recording has no clock
     """
@@ -42,7 +42,7 @@ class Recording(Protocol):
     has_poses: bool
     has_timestamps: bool
     reference_mesh: Path | None  # ground-truth surface in the recording's world frame
-    notes: tuple[str, ...]  # facts a user should hear once: a default intrinsic, dropped frames
+    notes: tuple[str, ...]  # facts to report to the user once: default intrinsics, dropped frames
 
     @property
     def camera(self) -> Camera:

@@ -1,12 +1,12 @@
-"""Per-pixel features of one depth image: edge-preserving smoothing, normals, incidence, gradients.
+"""Properties of the pixels of one depth image: edge-preserving smoothing, normals, incidence, gradients.
 
-The paper derives normals by central differences from a bilaterally filtered depth image (METHOD.md, uncertainty
-decoder). Everything here works on inverse depth, for two reasons: the depth noise of stereo, structured light and
-their kin grows with the square of the depth, so one range limit in 1/m holds at every distance; and the inverse depth
-of a plane is an affine function of the pixel, so its differences are exact however steep the plane is.
+UncLe-SLAM derives normals by central differences from a bilaterally filtered depth image. These functions work on
+inverse depth instead, for two reasons: the depth noise of stereo, structured light and similar sensors grows with the
+square of the depth, so one range limit in 1/m holds at every distance; and the inverse depth of a plane is an affine
+function of the pixel, so its differences are exact however steep the plane is.
 
-Images are (H, W) float32; depth is in metres, 0 where there is no reading. The choices of the published code, where
-they differ, are in `features_reference`.
+Images are (H, W) float32; depth is in metres, 0 where there is no measurement. The normals of the published code are in
+`methods/nice/published_normals.py`.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ def smooth_depth(depth: np.ndarray, range_sigma: float = RANGE_SIGMA) -> np.ndar
 
     Neighbours enter as opposite pairs, weighted by how far their mean is from the centre (`range_sigma`, in 1/m of
     inverse depth). A plane is thus kept as it is, at image borders and beside holes too, where an ordinary filter
-    bends it; and pairs with a hole or a reading from behind an edge have weight 0.
+    bends it; and pairs with a hole or a pixel from behind an edge have weight 0.
     """
     inverse = _inverse(depth, hole=_HOLE)
     for taps in _WINDOWS:
@@ -96,7 +96,7 @@ def unit_rays(camera: Camera) -> np.ndarray:
 
 
 def _inverse(depth: np.ndarray, hole: float | np.float32) -> np.ndarray:
-    """(H, W) float32 inverse depth in 1/m, `hole` where there is no reading."""
+    """(H, W) float32 inverse depth in 1/m, `hole` where there is no measurement."""
     inverse = np.full(depth.shape, hole, np.float32)
     np.divide(np.float32(1.0), depth, out=inverse, where=depth > 0)
     return inverse
@@ -144,7 +144,7 @@ def _difference(inverse: np.ndarray, axis: int, max_slope: float, max_bend: floa
     """Change of the inverse depth (nan = hole) per pixel along `axis`, within one surface; nan where there is none.
 
     `max_slope` is the largest change relative to the value, `max_bend` the largest disagreement in 1/m between both
-    sides for a central difference; beyond it the flatter side is the pixel's own surface.
+    sides for a central difference; beyond it the flatter side is the surface of the pixel.
     """
     steps = np.diff(inverse, axis=axis)
     edge = np.full_like(np.take(inverse, [0], axis), np.nan)

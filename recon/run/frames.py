@@ -59,7 +59,7 @@ class RunFrames:
         return torch.from_numpy(image)
 
     def depth(self, index: int, sensor: str) -> Tensor:
-        """(H, W) float32 metres, 0 = no reading; all 0 if the sensor has no image in this frame. Raises DataError."""
+        """(H, W) float32 metres, 0 = no measurement; all 0 if the sensor has no image here. Raises DataError."""
         if sensor not in self.records[index].sensors:
             return torch.zeros(self.camera.height, self.camera.width)
         image = read_image(self.run.depth_path(sensor, index), cv2.IMREAD_UNCHANGED)
@@ -72,7 +72,7 @@ class RunFrames:
         return decode_normals(read_image(self.run.normal_path(sensor, index), cv2.IMREAD_COLOR))
 
     def beta(self, index: int, sensor: str) -> Tensor:
-        """(H, W) float32 Laplace scale in metres, 0 where there is no reading. Raises DataError."""
+        """(H, W) float32 Laplace scale in metres, 0 where there is no measurement. Raises DataError."""
         image = read_image(self.run.beta_path(sensor, index), cv2.IMREAD_UNCHANGED)
         return torch.from_numpy(image.astype(np.float32) / BETA_UNITS_PER_M)
 

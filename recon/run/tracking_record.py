@@ -1,4 +1,4 @@
-"""What the tracker says about each frame: how sure it is of the camera, and where it lost it."""
+"""Status and covariance of every tracked frame: `tracking.json`."""
 
 from __future__ import annotations
 
@@ -16,12 +16,14 @@ Status = Literal["tracked", "weak", "lost", "relocalised"]
 
 
 class TrackedFrame(BaseModel):
-    """status      tracked: well determined; weak: some direction is held by the motion of the frames around it;
-                   lost: no pose, nothing fused; relocalised: found among all keyframes
+    """One frame of the tracker.
+
+    status      tracked: well determined; weak: some direction is determined by the motion model alone;
+                lost: no pose, nothing is integrated; relocalised: tracked again by a search in all keyframes
     covariance  (6, 6) of the small motion x in T_world_camera @ exp(x): 3 of translation, metres, then 3 of
-                rotation, radians, in the axes of the camera, against the first keyframe, whose own is zero; None
-                where the camera is lost
-    matches     features that agree with the pose; 0 where the surface alone holds it
+                rotation, radians, in the axes of the camera, relative to the first keyframe, for which it is zero;
+                None if the camera is lost
+    matches     features that agree with the pose; 0 if it comes from the surface alone
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid")
@@ -39,14 +41,14 @@ class TrackingRecord(BaseModel):
     frames: tuple[TrackedFrame, ...]
 
     def save(self, path: Path) -> None:
-        """Raises RunError."""
+        """Write the file. Raises RunError."""
         write_text(path, self.model_dump_json() + "\n")
 
     @staticmethod
     def of(frames: Sequence[TrackedFrame], spread: dict[int, np.ndarray]) -> TrackingRecord:
-        """`frames` with covariances against the first frame: `spread` holds those (6, 6) that are known, by index.
+        """`frames` with covariances relative to the first frame: `spread` holds those (6, 6) of keyframes, by index.
 
-        The others are known against the map, that is against the frame before them that is in `spread`.
+        Those of the other frames are relative to the map, that is to the last keyframe before them.
         """
         known, placed = np.zeros((6, 6)), []
         for frame in frames:
@@ -59,7 +61,7 @@ class TrackingRecord(BaseModel):
 
     @staticmethod
     def load(path: Path) -> TrackingRecord:
-        """Raises DataError."""
+        """Read the file. Raises DataError."""
         try:
             return TrackingRecord.model_validate_json(path.read_text())
         except (OSError, ValidationError) as error:

@@ -91,7 +91,7 @@ def relative_spread(inputs: Tensor) -> Tensor:
 def _neighbourhood(
     inverse: np.ndarray, valid: np.ndarray, window: int, spread: np.ndarray, offset: np.ndarray, holes: np.ndarray
 ) -> None:
-    """Spread of the inverse depth around a pixel, its own offset from the mean, and the ratio of holes, into (H, W)."""
+    """Spread of the inverse depth around a pixel, its offset from the mean, and the ratio of holes, into (H, W)."""
     means = (_box(image, window) for image in (valid, inverse, inverse * inverse))
     _summarise(inverse.ravel(), *(image.ravel() for image in (*means, spread, offset, holes)))
     INVERSE_DEPTH.encode(spread, spread)

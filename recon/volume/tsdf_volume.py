@@ -142,8 +142,8 @@ class TsdfVolume:
     ) -> None:
         """Add one depth image: depth (H, W) metres, weight (H, W) or None = 1, color (H, W, 3) uint8 or None.
 
-        Every allocated block in view takes part, so that a reading also speaks for the free space before it. How
-        loudly it does is its weight again, or, with `free_space`, what that says.
+        All allocated blocks in view are updated, so that the free space in front of the surface is observed, too: with
+        the weight of the measurement, or with that of `free_space`.
         """
         self._accumulate(depth, weight, color, T_world_camera, free_space, len(self.grid.blocks), 1.0)
 

@@ -1,4 +1,4 @@
-"""Noise models as files: read as they were written, refused where they do not fit, and worth having."""
+"""Noise models as files: read as they were written, rejected where they do not fit, and of use as a prior."""
 
 import json
 import shutil
