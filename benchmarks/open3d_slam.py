@@ -129,7 +129,7 @@ def main() -> None:
     options = parser.parse_args()
     o3d.utility.set_verbosity_level(o3d.utility.VerbosityLevel.Error)
     run = RunDirectory(options.run)
-    frames = RunFrames(run, choose_sensors(run.manifest, tuple(options.sensors)))
+    frames = RunFrames(run, choose_sensors(run.load_manifest(), tuple(options.sensors)))
     out = slam(frames, options.method, options.voxel)
     stamps = np.array([record.timestamp for record in frames.records])
     Trajectory(stamps, np.stack(out.poses)).save(run.trajectory_path)

@@ -28,7 +28,7 @@ class MapOutput:
         if self._alone:
             return
         self._alone, run = True, self.run
-        manifest = run.manifest
+        manifest = run.load_manifest()
         manifest.stages = {name: record for name, record in manifest.stages.items() if name == "preprocess"}
         run.save_manifest(manifest)
         with explain_write_errors(run.root):

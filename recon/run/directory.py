@@ -120,11 +120,6 @@ class RunDirectory:
         except ValidationError as error:
             raise RunError(f"{self.manifest_path} is damaged: {error.errors()[0]['msg']}; {redo}") from error
 
-    @property
-    def manifest(self) -> Manifest:
-        """`load_manifest`, under its old name."""
-        return self.load_manifest()
-
     def require(self) -> None:
         """Raises RunError if this is no run directory, or one of another version."""
         self.load_manifest()

@@ -119,7 +119,7 @@ def test_a_truncated_png_is_skipped_and_reported(data, preprocess, tmp_path, fol
     assert "0002.png" in warnings[0]
     kept = [record.source_index for record in frames_of(tmp_path).records]
     assert kept == ([0, 1, 3] if folder == "color" else [0, 1, 2, 3])
-    assert [*frames_of(tmp_path).run.manifest.skipped] == ["2" if folder == "color" else "2/a"]
+    assert [*frames_of(tmp_path).run.load_manifest().skipped] == ["2" if folder == "color" else "2/a"]
 
 
 def test_every_png_truncated(data, preprocess):

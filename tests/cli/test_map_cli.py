@@ -53,7 +53,7 @@ def test_map_then_mesh(run):
     assert result.stdout == ""
     assert "Mapped 6 frames" in result.stderr
     assert f"uncle mesh --run {run.root}" in result.stderr
-    assert run.manifest.stages["map"].facts["sensors"] == ["gt", "noisy"]
+    assert run.load_manifest().stages["map"].facts["sensors"] == ["gt", "noisy"]
     assert "done and unchanged" in uncle_map(run, "--sensors", "gt", "noisy").stderr
     result = uncle("mesh", "--run", run.root)
     assert result.exit_code == 0, result.output
@@ -62,7 +62,7 @@ def test_map_then_mesh(run):
     assert len(mesh.vertices) > 500
     assert mesh.sigma is not None
     assert mesh.colors is not None
-    facts = run.manifest.stages["mesh"].facts
+    facts = run.load_manifest().stages["mesh"].facts
     assert (facts["vertices"], facts["faces"]) == (len(mesh.vertices), len(mesh.faces))
 
 
@@ -97,7 +97,7 @@ def test_vertices_that_are_not_sure_enough_are_left_out(run):
     assert 0.3 * len(everything.vertices) < len(sure.vertices) <= 0.55 * len(everything.vertices)
     kept = {tuple(vertex) for vertex in sure.vertices}
     assert kept <= {tuple(vertex) for vertex in everything.vertices[everything.sigma <= limit + 1e-7]}
-    assert run.manifest.stages["mesh"].facts["max_sigma_m"] == limit
+    assert run.load_manifest().stages["mesh"].facts["max_sigma_m"] == limit
     assert "done and unchanged" in uncle("mesh", "--run", run.root, "--no-clean", "--max-sigma", limit).stderr
     assert "Wrote" in uncle("mesh", "--run", run.root, "--no-clean").stderr
     assert len(Mesh.load(run.mesh_path).vertices) == len(everything.vertices)
@@ -111,7 +111,7 @@ def test_baseline(run):
     assert 'method = "tsdf"' in run.config_path.read_text()
     assert "voxel_size_m = 0.06" in run.config_path.read_text()
     assert uncle("mesh", "--run", run.root).exit_code == 0
-    assert run.manifest.stages["mesh"].facts["clean"] is False
+    assert run.load_manifest().stages["mesh"].facts["clean"] is False
 
 
 @pytest.mark.parametrize(
@@ -135,7 +135,7 @@ def test_bad_values(run, arguments, code, said):
     assert result.exit_code == code, result.output
     assert said in result.stderr
     assert "Traceback" not in result.output
-    assert "map" not in run.manifest.stages
+    assert "map" not in run.load_manifest().stages
 
 
 def test_what_must_come_first_is_named(tmp_path, run):
@@ -164,7 +164,7 @@ def test_disk_full_while_writing_beta_keeps_earlier_stages(run, monkeypatch):
     message = one_line(uncle_map(run))
     assert "the disk is full" in message
     assert str(written[-1]) in message
-    assert set(run.manifest.stages) == {"preprocess"}
+    assert set(run.load_manifest().stages) == {"preprocess"}
     assert run.checkpoint_path.exists()
     monkeypatch.undo()
     result = uncle_map(run, "--resume")

@@ -38,7 +38,7 @@ def uncle_map(run: RunDirectory, *arguments: object) -> Result:
 def surface_scores(run: RunDirectory) -> dict[str, float]:
     """Precision and recall at 5 cm of what the cameras saw."""
     assert uncle("mesh", "--run", run.root).exit_code == 0
-    files = [run.mesh_path, run.manifest.reference_mesh, "--cull", run.root]
+    files = [run.mesh_path, run.load_manifest().reference_mesh, "--cull", run.root]
     done = uncle("eval", *files, "--threshold", 0.05, "--samples", 20_000, "--views", 0, "--json")
     assert done.exit_code == 0, done.output
     return json.loads(done.stdout)["mesh"]["scores"][0]
@@ -47,7 +47,7 @@ def surface_scores(run: RunDirectory) -> dict[str, float]:
 def test_one_sensor_is_fused_alone(run):
     done = uncle_map(run, "--sensors", "left")
     assert done.exit_code == 0, done.output
-    assert run.manifest.stages["map"].facts["method"] == "senfunet"
+    assert run.load_manifest().stages["map"].facts["method"] == "senfunet"
     scores = surface_scores(run)
     assert scores["precision"] > 0.97
     assert scores["recall"] > 0.85
@@ -74,7 +74,7 @@ def test_more_sensors_and_unknown_pairs_are_refused(run):
     unknown = uncle_map(run, "--sensors", "left", "right")
     assert unknown.exit_code == 1
     assert "uncle pretrain senfunet DATASET --sensors left right" in unknown.stderr
-    assert "map" not in run.manifest.stages
+    assert "map" not in run.load_manifest().stages
 
 
 def test_senfunet_is_trained_from_a_run_or_a_prepared_file(run, tmp_path):

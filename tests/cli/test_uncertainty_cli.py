@@ -117,7 +117,9 @@ def test_sensors_outside_the_map_are_named(make_mappable_run):
 
 def test_mistakes_are_one_line(run, make_box_run, tmp_path):
     assert "no such estimated sensor" in one_line(uncle("uncertainty", "--run", run.root, "--sensor", "sl"))
-    assert "no sensor called 'gt'" in one_line(uncle("uncertainty", "--run", run.root, "--sensor", "gt"))
+    assert "no such estimated sensor; it has: noisy" in one_line(
+        uncle("uncertainty", "--run", run.root, "--sensor", "gt")
+    )
     assert "frames 0 to 11" in one_line(uncle("uncertainty", "--run", run.root, "--frame", 12))
     assert "uncle preprocess" in one_line(uncle("uncertainty", "--run", tmp_path / "none"))
     assert "uncle map" in one_line(uncle("uncertainty", "--run", make_box_run().root))
@@ -134,7 +136,7 @@ def test_map_learns_what_uncertainty_shows_and_the_next_map_starts_from(make_map
     for prior in (earlier, earlier / "map" / "noise_model.pt"):
         result = uncle_map(run, "--prior", prior, "--overwrite")
         assert result.exit_code == 0, result.output
-        assert run.manifest.stages["map"].facts["prior"]["sensors"] == ["noisy"]
+        assert run.load_manifest().stages["map"].facts["prior"]["sensors"] == ["noisy"]
         assert "done and unchanged" in uncle_map(run, "--prior", prior).stderr
     assert "Mapped" in uncle_map(run).stderr
 
@@ -145,4 +147,4 @@ def test_priors_that_cannot_be_used(make_mappable_run, tmp_path):
     for prior, said in ((tmp_path / "none.pt", "no such file"), (tmp_path / "text.pt", "not a file of noise models"),
                         (tmp_path, "uncle preprocess"), (run.root, "uncle map")):  # fmt: skip
         assert said in one_line(uncle_map(run, "--prior", prior))
-    assert "map" not in run.manifest.stages
+    assert "map" not in run.load_manifest().stages

@@ -110,7 +110,7 @@ def _scene(arrays: dict[str, np.ndarray], key: str) -> Scene:
 def _reference_mesh(name: str, source: Any) -> Mesh:
     path = getattr(source, "reference_mesh", None)
     if path is None and hasattr(source, "run"):
-        path = source.run.manifest.reference_mesh
+        path = source.run.load_manifest().reference_mesh
     if path is None:
         raise DataError(
             f"{name} has no reference mesh, and the true distances are measured to one; `uncle synth` makes one"

@@ -14,7 +14,7 @@ FACES = (
 @pytest.mark.parametrize("room", FACES)
 def test_every_name_of_a_face_can_be_imported(room):
     face = importlib.import_module(f"uncle.recon.{room}")
-    assert list(face.__all__) == sorted(face.__all__)
+    assert len(face.__all__) == len(set(face.__all__))
     for name in face.__all__:
         assert getattr(getattr(face, name), "__name__", name) == name
 

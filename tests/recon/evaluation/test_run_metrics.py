@@ -128,7 +128,7 @@ def test_a_mesh_without_sigma_says_so(mapped_run, box_room):
 
 def test_reasons_are_given_for_what_is_not_there(make_box_run, box_room):
     run = make_box_run(("noisy",))
-    manifest = run.manifest
+    manifest = run.load_manifest()
     manifest.reference_mesh = None
     run.save_manifest(manifest)
     box_room.mesh().save(run.mesh_path)

@@ -112,7 +112,7 @@ def test_given_poses_map_every_fifth_frame_and_the_last(make_mappable_run):
     assert calls == ["begin", *(("map", i, i == 11) for i in (0, 5, 10, 11))]
     true = Trajectory.load(run.reference_trajectory_path).T_world_camera
     np.testing.assert_allclose(Trajectory.load(run.trajectory_path).T_world_camera, true, atol=1e-6)
-    record = run.manifest.stages["map"]
+    record = run.load_manifest().stages["map"]
     assert record.facts["keyframes"] == 4
     assert set(record.facts["seconds"]) == {"mapping", "surface", "beta maps"}
     assert len(list((run.root / "beta").rglob("*.png"))) == 12

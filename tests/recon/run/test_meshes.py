@@ -28,7 +28,7 @@ def test_a_reference_that_is_gone_or_was_never_named(make_box_run, tmp_path):
     assert not has_reference_mesh(run)
     with pytest.raises(DataError, match=r"reference\.ply no longer exists"):
         load_reference_mesh(run)
-    manifest = run.manifest
+    manifest = run.load_manifest()
     manifest.reference_mesh = None
     run.save_manifest(manifest)
     assert not has_reference_mesh(run)

@@ -170,12 +170,12 @@ def test_a_prior_is_part_of_what_decides_the_map(rig):
     run, model = rig
     prior, both = NoisePrior.load(model), settings(sensors=("gt", "noisy"))
     assert not map_run(run, both, prior=prior).unchanged
-    facts = run.manifest.stages["map"].facts
+    facts = run.load_manifest().stages["map"].facts
     assert facts["prior"] == {"path": str(model), "digest": prior.digest, "sensors": ["gt", "noisy"]}
     with_prior = run.noise_model_path.read_bytes()
     assert map_run(run, both, prior=prior).unchanged
     assert not map_run(run, both).unchanged
-    assert "prior" not in run.manifest.stages["map"].facts
+    assert "prior" not in run.load_manifest().stages["map"].facts
     assert run.noise_model_path.read_bytes() != with_prior
     shutil.copy(run.noise_model_path, model)
     assert not map_run(run, both, prior=NoisePrior.load(model)).unchanged
@@ -188,7 +188,7 @@ def test_what_cannot_start_from_a_prior_is_said(rig):
         map_run(run, make_config("tsdf", ["fusion.voxel_size_m=0.05"]), prior=prior)
     with pytest.raises(ConfigError, match="24; add --set"):
         map_run(run, settings("uncertainty.hidden=24"), prior=prior)
-    assert "map" not in run.manifest.stages
+    assert "map" not in run.load_manifest().stages
     events = []
     only = NoisePrior(model, {"gt": prior.sensors["gt"]})
     map_run(run, settings(sensors=("gt", "noisy")), prior=only, on_event=events.append)
@@ -206,7 +206,7 @@ def test_a_broken_map_with_a_prior_resumes_to_the_same(rig, monkeypatch):
     monkeypatch.setattr(map_stage, "Checkpoint", partial(Checkpoint, interval_s=0.0))
     prior, config = NoisePrior.load(model), settings(sensors=("gt", "noisy"))
     map_run(run, config, prior=prior)
-    expected = run.noise_model_path.read_bytes(), run.manifest.stages["map"].facts["sensor_weight_share"]
+    expected = run.noise_model_path.read_bytes(), run.load_manifest().stages["map"].facts["sensor_weight_share"]
 
     def break_at(stage: str, event) -> None:
         if isinstance(event, Progress) and event.stage.startswith(stage) and event.done == 5:
@@ -218,7 +218,10 @@ def test_a_broken_map_with_a_prior_resumes_to_the_same(rig, monkeypatch):
         with pytest.raises(RunError, match="other settings"):
             map_run(run, config, resume=True)
         map_run(run, config, prior=prior, resume=True)
-        assert (run.noise_model_path.read_bytes(), run.manifest.stages["map"].facts["sensor_weight_share"]) == expected
+        assert (
+            run.noise_model_path.read_bytes(),
+            run.load_manifest().stages["map"].facts["sensor_weight_share"],
+        ) == expected
 
 
 def test_the_better_sensor_has_the_larger_share(rig):

@@ -79,7 +79,7 @@ def test_two_sensors_end_to_end(make_mappable_run, box_room):
     curves = json.loads(run.curves_path.read_text())
     assert {"noise/gt", "noise/noisy", "refinement"} <= set(curves)
     assert len(curves["refinement"]["y"]) == 15
-    facts = run.manifest.stages["map"].facts
+    facts = run.load_manifest().stages["map"].facts
     assert (facts["method"], facts["frames"], facts["held_out"], facts["seed"]) == ("uncle", 12, [], 0)
     assert not run.checkpoint_path.exists()
 
@@ -125,13 +125,13 @@ def test_done_and_unchanged(make_mappable_run):
 def test_default_sensors_are_all_but_the_ground_truth(make_mappable_run):
     run = make_mappable_run()
     map_run(run, settings("fusion.passes=0", "field.iterations=0"))
-    assert run.manifest.stages["map"].facts["sensors"] == ["noisy"]
+    assert run.load_manifest().stages["map"].facts["sensors"] == ["noisy"]
 
 
 def test_held_out_frames_stay_out(make_mappable_run):
     run = make_mappable_run(("gt",))
     assert map_run(run, settings(hold_out=4)).frames == 9
-    assert run.manifest.stages["map"].facts["held_out"] == [3, 7, 11]
+    assert run.load_manifest().stages["map"].facts["held_out"] == [3, 7, 11]
     assert len(Trajectory.load(run.trajectory_path)) == 9
     assert not run.beta_path("gt", 3).exists()
     assert run.beta_path("gt", 4).exists()
@@ -161,7 +161,7 @@ def test_what_cannot_be_mapped_is_said(make_mappable_run):
     strip_poses(run, list(range(12)))
     with pytest.raises(DataError, match="no camera poses"):
         map_run(run, settings())
-    assert "map" not in run.manifest.stages
+    assert "map" not in run.load_manifest().stages
     with pytest.raises(RunError, match="uncle map"):
         load_field(run)
 
@@ -216,7 +216,7 @@ def test_broken_run_remembers_what_was_wrong_with_a_sensor(make_mappable_run, fr
         shutil.copy(run.depth_path("noisy", 4), run.depth_path("noisy", index))
     map_run(run, config, on_event=events.append)
     assert Warn("noisy: frozen from frame 5 to 10, left out") in events
-    assert run.manifest.stages["map"].facts["faulty_frames"] == {"noisy": {"frozen": 6}}
+    assert run.load_manifest().stages["map"].facts["faulty_frames"] == {"noisy": {"frozen": 6}}
     assert not RunFrames(run).beta(7, "noisy").any()
     expected = results(run) | {"sensors": run.sensors_path.read_bytes()}
     for stage, done in [("mapping", 7), ("integrating", 3)]:

@@ -125,8 +125,8 @@ def test_every_part_of_a_frame_arrives(run, convert):
     assert [frames[i].timestamp for i in range(6)] == [recording.timestamp(i) for i in range(6)]
     reference = Trajectory.load(run.reference_trajectory_path)
     np.testing.assert_allclose(reference.T_world_camera[:, 0, 3], range(6))
-    assert run.manifest.camera == CAMERA.to_dict()
-    assert run.manifest.registration_sigma_px == RunFrames(run).registration_sigma_px == 2.5
+    assert run.load_manifest().camera == CAMERA.to_dict()
+    assert run.load_manifest().registration_sigma_px == RunFrames(run).registration_sigma_px == 2.5
     assert not (run.root / "frames.part").exists()
 
 
@@ -151,7 +151,7 @@ def test_bad_images_are_left_out_and_reported(run, convert):
     assert [record.source_index for record in frames.records] == [1, 3, 4, 5]
     assert [record.sensors for record in frames.records] == [("sl", "tof"), ("tof",), ("sl",), ("sl", "tof")]
     assert [record.T_world_camera is None for record in frames.records] == [False, False, False, True]
-    assert set(summary.skipped) == set(run.manifest.skipped) == {"0", "2", "3/sl", "4/tof"}
+    assert set(summary.skipped) == set(run.load_manifest().skipped) == {"0", "2", "3/sl", "4/tof"}
     warnings = texts(events, Warn)
     assert len(warnings) == 4
     assert "2 of 6 frames skipped" in warnings[0]
@@ -184,10 +184,10 @@ def test_unchanged_is_kept_and_overwrite_redoes(run, convert, dataset):
     assert summary.frames == 6
     assert "--overwrite" in texts(events, Note)[0]
     assert run.frames_path.stat().st_mtime_ns == before
-    assert set(run.manifest.stages) == {"preprocess", "map"}
+    assert set(run.load_manifest().stages) == {"preprocess", "map"}
     summary, events = convert(MemoryRecording(), overwrite=True)
     assert not summary.unchanged
-    assert set(run.manifest.stages) == {"preprocess"}
+    assert set(run.load_manifest().stages) == {"preprocess"}
     assert any("map" in text for text in texts(events, Warn))
 
 

@@ -44,7 +44,7 @@ def full_run(make_box_run, box_room):
     write_text(run.config_path, f'method = "uncle" # {NASTY}\n')
     facts = {"method": "uncle", "sensors": ["noisy"], "peak_memory_mb": 512.0, NASTY: 1}
     run.finish_stage("map", "0", time.time() - 12, facts)
-    manifest = run.manifest
+    manifest = run.load_manifest()
     manifest.name = NASTY
     run.save_manifest(manifest)
     return run

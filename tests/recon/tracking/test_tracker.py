@@ -179,7 +179,7 @@ def test_a_walk_is_followed(walk, record):
     assert result.statuses == ["tracked"] * FRAMES
     assert result.ate_m(walk) < 0.008
     np.testing.assert_allclose(result.poses[0], walk[0].pose, atol=1e-6)
-    assert result.run.manifest.stages["map"].facts["tracking"]["tracked"] == FRAMES
+    assert result.run.load_manifest().stages["map"].facts["tracking"]["tracked"] == FRAMES
     assert result.warnings == []
 
 
@@ -223,7 +223,7 @@ def test_a_map_with_given_poses_has_no_tracking_record(walk, record):
     track(run)
     map_run(run, settings("tracking.enabled=false"))
     assert not run.tracking_path.exists()
-    assert "tracking" not in run.manifest.stages["map"].facts
+    assert "tracking" not in run.load_manifest().stages["map"].facts
 
 
 class Broken(Exception):
@@ -326,4 +326,4 @@ def test_nothing_to_see_is_said(walk, record, method):
     run = record([shot.blind().black() for shot in walk[:4]])
     with pytest.raises(DataError, match="lost in all 4 frames"):
         map_run(run, settings(method=method))
-    assert "map" not in run.manifest.stages
+    assert "map" not in run.load_manifest().stages

@@ -92,7 +92,7 @@ def test_nice_slam_pre_maps_with_the_networks_of_files(make_mappable_run, files,
     run = make_mappable_run(("gt", "a", "b"), np.linspace(0, 0.3, 3))
     config = settings(f"confidence.files={files}".replace("'", '"'))
     assert not map_run(run, config).unchanged
-    assert run.manifest.stages["map"].facts["method"] == "nice-slam-pre"
+    assert run.load_manifest().stages["map"].facts["method"] == "nice-slam-pre"
     assert map_run(run, config).unchanged
     save_network(tmp_path / "a.pt", "a", ConfidenceNetwork(torch.Generator().manual_seed(9)), {})
     assert not map_run(run, config).unchanged  # another network, another map
@@ -102,4 +102,4 @@ def test_a_sensor_without_a_network_is_named_before_anything_is_done(make_mappab
     run = make_mappable_run(("gt", "a", "b"), np.linspace(0, 0.3, 3))
     with pytest.raises(ConfigError, match="no confidence network for the sensor 'b'"):
         map_run(run, settings(f'confidence.files=["{files[0]}"]'))
-    assert "map" not in run.manifest.stages
+    assert "map" not in run.load_manifest().stages

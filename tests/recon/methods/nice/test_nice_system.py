@@ -49,7 +49,7 @@ def test_the_walls_are_found(make_mappable_run, box_room, method):
     assert learned["scene"]["grids"]["fine"]["table"].shape[1] == 32
     assert list(learned["noise"]) == (["depth/gt", "depth/noisy", "color"] if method == "uncle-paper" else [])
     assert list(learned["keyframes"]) == [0, 4]
-    assert run.manifest.stages["map"].facts["keyframes"] == 2
+    assert run.load_manifest().stages["map"].facts["keyframes"] == 2
 
 
 class Broken(Exception):
