@@ -146,15 +146,7 @@ def threads(request) -> Iterator[int]:
 
 # Tests that still ask for wording or names from before the renaming: each is to be rewritten, until the list is empty.
 OUTDATED = (
-    "test_depth_metrics.py::test_box_of_centres_is_the_published_one",
-    "test_run_trajectory.py::test_no_trajectory_names_the_command",
-    "test_run_trajectory.py::test_section_shows_figures_charts_and_losses",
-    "test_tracking_metrics.py::test_few_words_about_many_losses_and_about_none",
     "test_pipeline.py::test_a_restored_state_has_the_same_attributes",
-    "test_trajectory_charts.py::test_drift_shows_errors_sigma_and_lost_stretches",
-    "test_trajectory_charts.py::test_lost_at_both_ends",
-    "test_trajectory_charts.py::test_without_truth_the_estimate_stays_where_it_is",
-    "test_ablation.py::test_every_variant_is_made_of_settings_that_there_are",
 )
 
 

@@ -10,6 +10,7 @@ from scipy import stats
 from uncle.recon.core.config.map_config import make_config
 from uncle.recon.core.errors import ConfigError
 from uncle.recon.evaluation.bench.statistics import ALL_SCENES
+from uncle.recon.sensors.noise_inputs import SENSOR_INPUTS
 from uncle.recon.sensors.noise_model import input_mask
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "benchmarks"))  # the programs import each other by their bare names
@@ -25,7 +26,7 @@ def test_every_variant_is_made_of_settings_that_there_are():
     variants = ablation.choose_variants(["paper", "own"])
     assert len(variants) > 15
     configs = [make_config("uncle", list(settings)) for settings in variants.values()]
-    seen = [input_mask(config.uncertainty.inputs) for config in configs]
+    seen = [input_mask(SENSOR_INPUTS, config.uncertainty.inputs) for config in configs]
     paper = [configs[list(variants).index(name)].uncertainty for name in ablation.GROUPS["paper"]]
     assert len({(config.inputs, config.beta_min_m) for config in paper}) == 8
     assert {config.beta_min_m for config in paper} == {1e-3, 1e-1}

@@ -116,7 +116,7 @@ def _draw_charts(out: Path, sensor: str, samples: BetaSamples, scores: Uncertain
     charts = [_write(out / f"noise_{sensor}.png", noise_chart(sensor, noise_curves(samples)))]
     calibration = uncertainty_calibration_chart(sensor, to_plain(scores.curves)) if scores is not None else None
     if calibration:
-        charts.append(_write(out / f"calibration_{sensor}.png", calibration))
+        charts.append(_write(out / f"uncertainty_calibration_{sensor}.png", calibration))
     return charts
 
 

@@ -63,7 +63,7 @@ def test_figures_are_those_of_the_sensor(run):
     assert noisy["low_beta_m"] < noisy["median_beta_m"] < noisy["high_beta_m"]
     assert noisy["scores"]["coverage_50"] == pytest.approx(0.5, abs=0.02)
     assert noisy["scores"]["mean_error_m"] == pytest.approx(noisy["scores"]["mean_beta_m"], rel=0.03)
-    names = [f"{kind}_noisy.png" for kind in ("sensor", "noise", "calibration")]
+    names = [f"{kind}_noisy.png" for kind in ("sensor", "noise", "uncertainty_calibration")]
     assert found["pictures"] == [str(run.snapshots_path / name) for name in (*names, "reliability.png")]
     assert all(cv2.imread(path) is not None for path in found["pictures"])
 
@@ -101,7 +101,7 @@ def test_without_a_truth_there_are_no_scores(make_mappable_run):
     noisy = json.loads(result.stdout)["sensors"]["noisy"]
     assert noisy["scores"] is None
     assert noisy["weight_share"] is None
-    assert not (run.snapshots_path / "calibration_noisy.png").exists()
+    assert not (run.snapshots_path / "uncertainty_calibration_noisy.png").exists()
     assert (run.snapshots_path / "noise_noisy.png").exists()
     assert "coverage" not in uncle("uncertainty", "--run", run.root).stdout
 

@@ -77,7 +77,7 @@ def test_views_are_repeatable_inside_and_clear_of_walls(box_room):
 
 
 def test_box_of_centres_is_the_published_one(box_room):
-    center, axes, half = centre_box(box_room.mesh(), 0.4)
+    center, axes, half = centre_box(box_room.mesh(), NEW_VIEW_PARAMETERS["paper"])
     np.testing.assert_allclose(center, [2.0, 1.5, 1.65], atol=1e-6)
     np.testing.assert_allclose(half * 2, [0.3 * 2.5, 0.7 * 3.0, 0.7 * 4.0], atol=1e-5)
     np.testing.assert_allclose(np.abs(axes), [[0, 0, 1], [0, 1, 0], [1, 0, 0]], atol=1e-6)

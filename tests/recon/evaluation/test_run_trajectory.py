@@ -104,7 +104,7 @@ def test_section_shows_figures_charts_and_losses(tracked_run):
     section = camera_section(tracked_run)
     assert "3 of 12 frames were lost: 4 to 5, 9." in section
     assert section.count("<img") == 2
-    for text in ("ATE aligned", "3.00 / 3.00 / 3.00 / 3.00", "75.00", "frames lost", "true over stated sigma"):
+    for text in ("ATE (aligned)", "3.00 / 3.00 / 3.00 / 3.00", "75.00", "frames lost", "true / predicted sigma"):
         assert text in section
     assert (tracked_run.snapshots_path / "trajectory.png").is_file()
     assert (tracked_run.snapshots_path / "drift.png").is_file()
@@ -114,7 +114,7 @@ def test_no_trajectory_names_the_command(make_box_run):
     run = make_box_run()
     assert f"uncle map --run {run.root}" in camera_section(run)
     assert score_tracking(run) is None
-    with pytest.raises(DataError, match="no trajectory yet"):
+    with pytest.raises(DataError, match="no trajectory"):
         score_trajectory(run)
     run.frames_path.unlink()
     run.trajectory_path.write_bytes(run.reference_trajectory_path.read_bytes())

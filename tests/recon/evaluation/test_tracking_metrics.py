@@ -114,7 +114,7 @@ def test_few_words_about_many_losses_and_about_none():
     frames = tuple(TrackedFrame(index=i, timestamp=i, status="lost" if i % 2 else "tracked") for i in range(40))
     text = describe_lost(evaluate_tracking(TrackingRecord(frames=frames), None))
     assert text.startswith("20 of 40 frames were lost: 1, 3, 5")
-    assert text.endswith("15 and 12 more stretches.")
+    assert text.endswith("15 and 12 more ranges.")
     assert describe_lost(evaluate_tracking(TrackingRecord(frames=frames[:1]), None)) == "No frame of 1 was lost."
     assert evaluate_tracking(TrackingRecord(frames=()), None).statuses["lost"].ratio == 0.0
 

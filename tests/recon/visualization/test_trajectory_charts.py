@@ -80,25 +80,25 @@ def test_without_truth_the_estimate_stays_where_it_is(estimate, record, figures)
     np.testing.assert_allclose(np.delete(drawn["estimated"].get_ydata(), 6), estimate.T_world_camera[:, 1, 3])
     drift_chart(path)
     position, rotation = figures[1].axes
-    sigma = np.delete(lines(position)["stated by the tracker, 1 sigma"].get_ydata(), 6)
+    sigma = np.delete(lines(position)["1 sigma, predicted by the tracker"].get_ydata(), 6)
     np.testing.assert_allclose(sigma, np.sqrt(3) * 1.0)  # cm
-    sigma = np.delete(lines(rotation)["stated by the tracker, 1 sigma"].get_ydata(), 6)
+    sigma = np.delete(lines(rotation)["1 sigma, predicted by the tracker"].get_ydata(), 6)
     np.testing.assert_allclose(sigma, np.degrees(np.sqrt(3) * 0.02))
 
 
 def test_drift_shows_errors_sigma_and_lost_stretches(estimate, true, record, figures):
     drift_chart(CameraPath(estimate, true, record))
     position, rotation = figures[0].axes
-    as_it_is = lines(position)["as it is"]
-    np.testing.assert_allclose(np.delete(as_it_is.get_ydata(), 6), 3.0)
+    unaligned = lines(position)["unaligned"]
+    np.testing.assert_allclose(np.delete(unaligned.get_ydata(), 6), 3.0)
     np.testing.assert_allclose(np.delete(lines(position)["aligned"].get_ydata(), 6), 0.0, atol=1e-9)
-    np.testing.assert_allclose(np.delete(lines(rotation)["as it is"].get_ydata(), 6), 0.0, atol=1e-9)
-    assert as_it_is.get_xdata()[0] == 0.0
+    np.testing.assert_allclose(np.delete(lines(rotation)["unaligned"].get_ydata(), 6), 0.0, atol=1e-9)
+    assert unaligned.get_xdata()[0] == 0.0
     assert rotation.get_xlabel() == "time [s]"
     (shade,) = position.patches
     assert shade.get_x() == pytest.approx(2.5)  # from the last pose before to the first after
     assert shade.get_width() == pytest.approx(2.0)
-    assert any(collection.get_label() == "stated by the tracker, 1 sigma" for collection in position.collections)
+    assert any(collection.get_label() == "1 sigma, predicted by the tracker" for collection in position.collections)
 
 
 def test_a_sigma_without_bounds_does_not_press_the_errors_flat(estimate, true, record, figures):
@@ -116,7 +116,7 @@ def test_lost_at_both_ends(true, figures):
     assert path.lost_spans == [(100.0, 101.0), (108.5, 109.5)]
     drift_chart(path)
     assert [shade.get_x() for shade in figures[0].axes[0].patches] == [0.0, 8.5]
-    assert lines(figures[0].axes[0])["as it is"].get_xdata()[1] == 1.0
+    assert lines(figures[0].axes[0])["unaligned"].get_xdata()[1] == 1.0
 
 
 def test_files_are_pictures(estimate, true, record, tmp_path):
