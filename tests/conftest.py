@@ -145,9 +145,7 @@ def threads(request) -> Iterator[int]:
 
 
 # Tests that still ask for wording or names from before the renaming: each is to be rewritten, until the list is empty.
-OUTDATED = (
-    "test_pipeline.py::test_a_restored_state_has_the_same_attributes",
-)
+OUTDATED = ("test_pipeline.py::test_a_restored_state_has_the_same_attributes",)
 
 
 def pytest_collection_modifyitems(items):
