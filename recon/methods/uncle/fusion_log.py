@@ -10,6 +10,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from ...core.se3 import rotation_angle
 from ...sensors.noise_model import NoiseModel
 
 
@@ -96,9 +97,8 @@ class FusionLog:
     def _displacement(self, record: IntegrationRecord, T_world_camera: Tensor) -> float:
         """How far points `lever_m` away from the camera move, metres."""
         step = torch.linalg.inv(record.T_world_camera.double()) @ T_world_camera.double()
-        # In tensors, as poses may lie on an accelerator; `se3.rotation_angle` takes arrays.
-        angle = torch.arccos(((torch.trace(step[:3, :3]) - 1) / 2).clamp(-1, 1))
-        return float(torch.linalg.norm(step[:3, 3]) + self.parameters.lever_m * angle)
+        angle = float(rotation_angle(step.cpu().numpy()))
+        return float(torch.linalg.norm(step[:3, 3])) + self.parameters.lever_m * angle
 
 
 def _equal(first: dict[str, dict[str, Tensor]], second: dict[str, dict[str, Tensor]]) -> bool:
