@@ -4,14 +4,9 @@ from __future__ import annotations
 
 import importlib
 import logging
-import os
 from typing import Any
 
 import click
-
-# Waiting threads of PyTorch, OpenCV and Open3D must not spin: on few or shared cores they starve each other. Read by
-# the OpenMP runtime when PyTorch is loaded, hence here.
-os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
 
 # command -> one-line help. Its module is imported only when the command runs or shows its own help.
 COMMANDS: dict[str, str] = {

@@ -3,6 +3,12 @@
 `__version__` is that of the installed distribution; `unknown` if there is none.
 """
 
+import os
+
+# Waiting threads of PyTorch, OpenCV and Open3D must not spin: on few or shared cores they starve each other, and a map
+# takes many times as long. The OpenMP runtime reads it when PyTorch is loaded, hence here.
+os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
+
 
 def __getattr__(name: str) -> str:
     if name != "__version__":

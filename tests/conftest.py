@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+import os
+
+os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")  # as the program itself; PyTorch reads it when it is loaded
+
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field

@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from .fusion_weights import FusionWeights
     from .likelihood import laplace_nll, quantile_loss
     from .noise_inputs import SENSOR_INPUTS, pixel_inputs
+    from .noise_maps import load_noise_models, predict_beta
     from .noise_model import NoiseModel, Residuals
     from .noise_prior import NoisePrior, save_noise_models
 
@@ -25,7 +26,9 @@ __all__ = [
     "NoisePrior",
     "Residuals",
     "laplace_nll",
+    "load_noise_models",
     "pixel_inputs",
+    "predict_beta",
     "quantile_loss",
     "save_noise_models",
 ]
@@ -37,6 +40,7 @@ __getattr__ = lazy_names(
         "FusionWeights": ".fusion_weights",
         **dict.fromkeys(("quantile_loss", "laplace_nll"), ".likelihood"),
         **dict.fromkeys(("SENSOR_INPUTS", "pixel_inputs"), ".noise_inputs"),
+        **dict.fromkeys(("load_noise_models", "predict_beta"), ".noise_maps"),
         **dict.fromkeys(("NoiseModel", "Residuals"), ".noise_model"),
         **dict.fromkeys(("NoisePrior", "save_noise_models"), ".noise_prior"),
     },
