@@ -146,13 +146,3 @@ def threads(request) -> Iterator[int]:
     torch.set_num_threads(request.param)
     yield request.param
     torch.set_num_threads(before)
-
-
-# Tests that still ask for wording or names from before the renaming: each is to be rewritten, until the list is empty.
-OUTDATED = ("test_pipeline.py::test_a_restored_state_has_the_same_attributes",)
-
-
-def pytest_collection_modifyitems(items):
-    for item in items:
-        if any(name in item.nodeid for name in OUTDATED):
-            item.add_marker(pytest.mark.xfail(reason="asks for names from before the renaming", strict=False))

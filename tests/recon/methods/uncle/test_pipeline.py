@@ -65,7 +65,9 @@ def attributes(value: Any, path: str = "", seen: set[int] | None = None) -> Iter
         if id(value) in seen:
             return
         seen.add(id(value))
-        for name in vars(value).keys() - IGNORED:
+        for name in vars(value):  # in the order of definition: an object met twice keeps its first path
+            if name in IGNORED:
+                continue
             yield from attributes(vars(value)[name], f"{path}.{name}", seen)
 
 
