@@ -158,10 +158,10 @@ def uncle_with_packages(tmp_path_factory):
     shutil.copytree(EXAMPLES / "plugin", source)
     pip = [sys.executable, "-m", "pip", "install", "--quiet", "--disable-pip-version-check", "--no-index"]
     subprocess.run([*pip, "--no-deps", "--no-build-isolation", "--target", place, source], check=True)
-    add_package(place, "broken", "uncle.methods", "broken = broken:METHOD", "import no_such_library\n")
-    clash = 'from uncle.recon.methods import MethodSpec\nMETHOD = MethodSpec("tsdf", "mine", "batch", "x:y")\n'
-    add_package(place, "clash", "uncle.methods", "tsdf = clash:METHOD", clash)
-    add_package(place, "other", "uncle.readers", "other = other:READER", "READER = 'no specification'\n")
+    add_package(place, "broken", "uncle.methods", "broken = broken:METHOD_SPEC", "import no_such_library\n")
+    clash = 'from uncle.recon.methods import MethodSpec\nMETHOD_SPEC = MethodSpec("tsdf", "mine", "batch", "x:y")\n'
+    add_package(place, "clash", "uncle.methods", "tsdf = clash:METHOD_SPEC", clash)
+    add_package(place, "other", "uncle.readers", "other = other:READER_SPEC", "READER_SPEC = 'no specification'\n")
     paths = [str(place), *filter(None, [os.environ.get("PYTHONPATH")])]
     environment = os.environ | {"PYTHONPATH": os.pathsep.join(paths)}
 
@@ -191,7 +191,7 @@ def test_a_package_adds_a_method_and_a_reader(uncle_with_packages, npz_folder, d
     done = uncle_with_packages("preprocess", npz_folder, "--run", run.root)
     assert done.returncode == 0, done.stderr
     assert run.load_manifest().dataset_format == "npz"
-    assert done.stderr.count("skipped 'other' of the package other (uncle.readers): TypeError: other:READER") == 1
+    assert done.stderr.count("skipped 'other' of the package other (uncle.readers): TypeError: other:READER_SPEC") == 1
     np.testing.assert_allclose(RunFrames(run).depth(2, "sl"), open_dataset(dataset).depth(2, "sl"), atol=1e-3)
 
     options = ["--run", run.root, "--method", "inverse-power", "--voxel", 0.06, "--set", "fusion.min_observations=1"]

@@ -12,7 +12,7 @@ class InversePowerConfig(Strict):
     power: float = Field(2.0, ge=0, le=4, description="The weight of a measurement at depth z is 1 / z^power.")
 
 
-METHOD = MethodSpec(
+METHOD_SPEC = MethodSpec(
     name="inverse-power",
     summary="fusion with weights that fall with the depth, an example of a plugin",
     kind="batch",
@@ -22,7 +22,7 @@ METHOD = MethodSpec(
     is_deterministic=True,
 )
 
-READER = ReaderSpec(
+READER_SPEC = ReaderSpec(
     name="npz",
     layout="camera.json and frame_*.npz",
     summary="a NumPy file for each frame, an example of a plugin",
