@@ -1,4 +1,4 @@
-"""What each choice of the uncertainty is worth: variants over seeds against the unweighted map; see README.md."""
+"""Effect of each choice of the uncertainty: variants over seeds against the unweighted map; see README.md."""
 
 from __future__ import annotations
 

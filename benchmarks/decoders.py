@@ -53,7 +53,7 @@ def trace(room: Rooms, origin: Tensor, direction: Tensor, far: float = 12.0) -> 
     return along / norm
 
 
-def look_around(room: Rooms, views: int, side: int, generator: torch.Generator, device: torch.device) -> View:
+def draw_views(room: Rooms, views: int, side: int, generator: torch.Generator, device: torch.device) -> View:
     """Views of 90 degrees from free places at the height of hands and eyes, drawn on the CPU."""
     size = room.size[0]
     span = size * torch.tensor([1.0, 1.0, 0.4])
@@ -108,7 +108,7 @@ class RoomGrids:
         )
 
     def render(self, rays: View, far: float, fine: bool) -> Tensor:
-        """Depth by volume rendering: 32 samples along each ray and 16 around its reading (METHOD, Ray sampling)."""
+        """Depth by volume rendering: 32 samples along each ray and 16 around its measured depth (NICE-SLAM)."""
         origin, direction, reading = rays.origin, rays.direction, rays.depth[:, None]
         inverse = 1 / torch.where(direction.abs() < 1e-6, 1e-6, direction)
         leaves = torch.maximum((self.low - origin) * inverse, (self.high - origin) * inverse).amin(dim=1, keepdim=True)
@@ -161,7 +161,7 @@ def score_room(decoders: OccupancyDecoders, seed: int, side: int, rays: int, dev
     room = draw_rooms(1, generator)
     while room.size[0, :2].max() > 4.6:
         room = draw_rooms(1, generator)
-    fitted, other = (look_around(room, views, pixels, generator, device) for views, pixels in ((14, side), (4, 28)))
+    fitted, other = (draw_views(room, views, pixels, generator, device) for views, pixels in ((14, side), (4, 28)))
     some = torch.arange(0, len(fitted.depth), max(1, side * side // 2304), device=device)
     other = other.at((nearest(other.places(), fitted.at(some).places()) < SEEN_M).nonzero()[:, 0])
     grids = RoomGrids(decoders.frozen(device), room.size[0], generator, device)

@@ -10,7 +10,7 @@ from uncle.recon.methods.nice.decoders import OccupancyDecoders
 from uncle.recon.methods.pretrain.crops import Crops, draw_crops, sample_crops
 from uncle.recon.methods.pretrain.cubes import cube_logits, cube_losses
 from uncle.recon.methods.pretrain.decoder_training import DecoderTrainer, DecoderTraining, _schedule
-from uncle.recon.methods.pretrain.grids import EXTENT_M, look_up
+from uncle.recon.methods.pretrain.grids import EXTENT_M, interpolate
 
 SIDE = 16  # cells of 8 cm into which the points are sorted
 NOISE_M = 0.005
@@ -80,7 +80,7 @@ def train_with_encoder(settings: DecoderTraining, device: torch.device) -> Occup
                 seen[part] = surface_points(crops, generator)
         points, solid = trainer.cubes.draw(settings.points)
         grids = encoder(seen)
-        logits = cube_logits(trainer.decoders, points, {n: look_up(g, points) for n, g in grids.items()}, generator)
+        logits = cube_logits(trainer.decoders, points, {n: interpolate(g, points) for n, g in grids.items()}, generator)
         loss = (
             cube_losses(logits, solid, settings.slope).sum() / solid.numel()
             + settings.free_weight * trainer._free_loss()

@@ -94,8 +94,8 @@ def execute(job: Job, dataset: Path, out: Path) -> Record:
     uncle("eval", "--run", run, "--json")
     metrics = json.loads((run / "metrics.json").read_text())
     found = json.loads((run / "sensors.json").read_text())["sensors"] if (run / "sensors.json").exists() else {}
-    said = [sentence for facts in found.values() for sentence in facts["sentences"]]
-    return job._asdict() | surface_scores(metrics["surface"]) | {"said": said}
+    messages = [sentence for facts in found.values() for sentence in facts["sentences"]]
+    return job._asdict() | surface_scores(metrics["surface"]) | {"messages": messages}
 
 
 def markdown(records: Iterable[Record]) -> str:
@@ -107,7 +107,7 @@ def markdown(records: Iterable[Record]) -> str:
         sound = whole.get((record["dataset"], record["sensors"], record["method"], record["seed"]))
         cost = f"{(sound['f_score_5cm'] - record['f_score_5cm']) * 100:.2f}" if sound and sound is not record else "-"
         case = [record["sensors"], record["method"], record["fault"], record["sensor"] or "-"]
-        rows.append([*case, *(cell([record], *column[1:]) for column in COLUMNS), cost, "; ".join(record["said"])])
+        rows.append([*case, *(cell([record], *column[1:]) for column in COLUMNS), cost, "; ".join(record["messages"])])
     header = ["sensors", "method", "fault", "of", *(column[0] for column in COLUMNS), "costs, F 5 cm", "reported"]
     return "\n".join(markdown_table(header, rows))
 

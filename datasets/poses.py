@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 from ..recon.core.errors import DataError
 from ..recon.core.trajectory import Trajectory
 
-MAX_POSE_GAP_S = 0.08  # METHOD: motion capture with a wider gap says too little about the moment in between
+MAX_POSE_GAP_S = 0.08  # poses are not interpolated across a wider gap: the camera can turn within it
 ORTHONORMAL_TOLERANCE = 1e-2  # text files round; anything beyond is no rotation
 
 # Negates the y and z axes of a camera: OpenGL (y up, z backward) <-> OpenCV (y down, z forward).

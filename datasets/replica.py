@@ -1,4 +1,4 @@
-"""Replica as rendered for NICE-SLAM (METHOD, data sets and axis conventions)."""
+"""Replica as rendered for NICE-SLAM; units, camera and axes: docs/uncle-paper.md, Data sets."""
 
 from __future__ import annotations
 

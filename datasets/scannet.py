@@ -1,4 +1,4 @@
-"""ScanNet: a structured-light sensor on a tablet, exported to images (METHOD, data sets and axis conventions)."""
+"""ScanNet: a structured-light sensor on a tablet, as images; units and axes: docs/uncle-paper.md, Data sets."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""SenFuNet-Replica: rendered rooms with several depth sensors (METHOD, data sets and axis conventions)."""
+"""SenFuNet-Replica: rendered rooms with several depth sensors; units and axes: docs/uncle-paper.md, Data sets."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""7-Scenes: hand-held Kinect with poses of a depth tracker (METHOD, data sets and axis conventions)."""
+"""7-Scenes: hand-held Kinect with poses of a depth tracker; units and axes: docs/uncle-paper.md, Data sets."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""TUM RGB-D: Kinect with motion capture; three streams with clocks of their own (METHOD, data sets)."""
+"""TUM RGB-D: Kinect with motion capture; colour, depth and poses have clocks of their own."""
 
 from __future__ import annotations
 

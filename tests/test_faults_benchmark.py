@@ -43,7 +43,8 @@ def test_every_sensor_fails_in_every_way_after_the_recording_as_it_is():
 def test_cost_is_against_the_same_method_without_a_fault():
     def record(method, fault, f_score):
         job = faults.Job("room", "a+b", method, fault, "a" if fault != "none" else "", 65, 0)
-        return job._asdict() | {"f_score_5cm": f_score, "f_score_2cm": 0.5, "said": ["a: frozen"] * (fault != "none")}
+        messages = ["a: frozen"] if fault != "none" else []
+        return job._asdict() | {"f_score_5cm": f_score, "f_score_2cm": 0.5, "messages": messages}
 
     cases = [("uncle", "none", 0.9), ("tsdf", "none", 0.8), ("uncle", "frozen", 0.89), ("tsdf", "frozen", 0.5)]
     lines = faults.markdown(record(*case) for case in cases).splitlines()[2:]

@@ -16,7 +16,7 @@ from .scene import Builder, Finish
 
 @dataclass(frozen=True)
 class Finishes:
-    """Textures that furniture shares, so that a room looks furnished by one person."""
+    """Textures that all furniture of a room shares."""
 
     woods: tuple[Finish, ...]
     fabrics: tuple[Finish, ...]

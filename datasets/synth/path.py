@@ -62,7 +62,7 @@ class FreeSpace:
         return bool((_distance(self.raycaster, points.astype(np.float32)) >= self.clearance_m).all())
 
     def openness(self, point: np.ndarray, yaw: float, pitch: float) -> float:
-        """How far one can look from `point`: a low quantile of distances in a cone, metres."""
+        """Free distance from `point` (3,): a low quantile over a cone of rays, metres; angles in radians."""
         spread = np.stack(np.meshgrid([-0.5, 0, 0.5], [-0.4, 0, 0.4]), -1).reshape(-1, 2)
         forward = np.array([_forward(yaw + dy, pitch + dp) for dy, dp in spread])
         reach = np.minimum(_cast(self.raycaster, np.tile(point, (9, 1)), forward), 100.0)  # infinite through a window

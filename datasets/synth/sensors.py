@@ -1,7 +1,7 @@
 """Simulated active depth sensors: functions of a true depth image and a random generator.
 
-Depth images are (H, W) float32 metres along the optical axis, 0 = no reading, before and after. METHOD.md, sensor
-simulation, names the sources; what is left out of them is said in each docstring.
+Depth images are (H, W) float32 metres along the optical axis, 0 = no measurement, before and after. docs/synth.md names
+the sources and what is not simulated.
 """
 
 from __future__ import annotations

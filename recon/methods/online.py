@@ -47,7 +47,7 @@ class OnlineSystem(Protocol):
         """What can be made of a frame in the background, before its turn."""
 
     def track(self, frame: Frame, prepared: Any, recent: list[np.ndarray]) -> Found:
-        """Look for the camera; `recent`: the last two poses that were found, as known by now, the newest last."""
+        """Estimate the pose of a frame. recent: the last two estimated poses (4, 4) as they are now, newest last."""
 
     def map(self, frame: Frame, prepared: Any, T_world_camera: np.ndarray, last: bool) -> Poses:
         """Make a frame part of the map; returns the frames that were moved by it, the given one among them or not."""
@@ -133,7 +133,7 @@ def _track_and_map(
     for frame, prepared in frames.stream(indices[start:], lambda frame: (frame, system.prepare(frame))):
         on_event(Progress(stage, progress.position, len(indices)))
         with progress.timed("tracking"):
-            found = _look(system, frame, prepared, progress)
+            found = _estimate_pose(system, frame, prepared, progress)
         if found.T_world_camera is not None:
             progress.poses[frame.index] = found.T_world_camera.tolist()
             if progress.position >= progress.next_mapped or progress.position == last:
@@ -164,7 +164,7 @@ def _map_given(
     _save_if(bool(due), checkpoint, system, progress)
 
 
-def _look(system: OnlineSystem, frame: Frame, prepared: Any, progress: OnlineProgress) -> Found:
+def _estimate_pose(system: OnlineSystem, frame: Frame, prepared: Any, progress: OnlineProgress) -> Found:
     """The pose of the next frame, recorded. The first one is where the recording says, else at the origin."""
     if progress.poses:
         recent = [np.array(progress.poses[index]) for index in sorted(progress.poses)[-2:]]

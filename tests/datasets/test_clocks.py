@@ -110,7 +110,7 @@ def test_motion_of_pictures_is_that_of_the_camera(shaken):
         assert np.median(np.abs(found.velocities - speeds(found.times - 100))) < 12, "pixels per second, of up to 150"
 
 
-def test_pairs_follow_the_delay_and_the_user_hears_of_it(shaken):
+def test_pairs_follow_the_delay_and_a_note_reports_it(shaken):
     recording = open_dataset(shaken(0.045))
     assert any("ms later than the colour that shows the same motion" in note for note in recording.notes)
     pairs = [(entry.color.stem, entry.depths["depth"].stem) for entry in recording._entries]

@@ -1,4 +1,4 @@
-"""From a depth image to the confidence of each of its readings (METHOD, baselines, NICE-SLAM+Pre)."""
+"""Network that predicts the confidence of each measured depth from its image; docs/baselines.md, `nice-slam-pre`."""
 
 from __future__ import annotations
 

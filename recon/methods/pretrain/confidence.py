@@ -1,4 +1,4 @@
-"""Training of the confidence network of a sensor (METHOD, baselines, NICE-SLAM+Pre)."""
+"""Training of the confidence network of a sensor; docs/baselines.md, `nice-slam-pre`."""
 
 from __future__ import annotations
 

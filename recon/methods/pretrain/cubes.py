@@ -8,9 +8,9 @@ from torch.nn.functional import binary_cross_entropy_with_logits
 
 from ..nice.decoders import OCCUPANCY_SLOPE, OccupancyDecoders
 from .crops import draw_crops, sample_crops
-from .grids import CELLS, EXTENT_M, FeatureGrids, look_up
+from .grids import CELLS, EXTENT_M, FeatureGrids, interpolate
 
-MIDDLE_SHARE = 0.4  # of a life: the middle stage of mapping (METHOD, Mapping)
+MIDDLE_SHARE = 0.4  # of a cube's steps are in the middle stage, as in mapping; see docs/pretraining.md
 RATES = {"middle": 0.1, "fine": 0.005}  # of the features, in the stage of that name
 FIRST_FRAME_FACTOR = 5.0  # the rates are up to so many times higher: those of the first mapped frame
 WORLD_M = 20.0  # the cubes lie within this distance of the world's origin along each axis
@@ -44,7 +44,7 @@ class CubeBatch:
 
     def features(self, points: Tensor) -> dict[str, Tensor]:
         """Features of both grids at (S, P, 3); (S, P, 32) each."""
-        return {name: look_up(self.grids.values[name], points) for name in CELLS}
+        return {name: interpolate(self.grids.values[name], points) for name in CELLS}
 
     def move(self, gradients: dict[str, Tensor]) -> None:
         """One step of the features, at the rates of mapping for their ages."""

@@ -12,7 +12,7 @@ EXTENT_M = 1.28
 INITIAL_STD = {"middle": 1e-2, "fine": 1e-4}
 
 
-def look_up(grid: Tensor, points: Tensor) -> Tensor:
+def interpolate(grid: Tensor, points: Tensor) -> Tensor:
     """Trilinear features of (S, C, n, n, n) grids, axes z, y, x, at points (S, P, 3) metres from the cubes' centres.
 
     Vertices lie on the cubes' faces. Returns (S, P, C).

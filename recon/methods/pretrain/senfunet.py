@@ -1,4 +1,4 @@
-"""Training of SenFuNet's networks for a pair of sensors (METHOD, baselines, SenFuNet)."""
+"""Training of SenFuNet's networks for a pair of sensors; docs/baselines.md, `senfunet`."""
 
 from __future__ import annotations
 

@@ -1,1 +1,1 @@
-"""The baseline SenFuNet: two sensors fused by a learned weight of each sample (METHOD, baselines, SenFuNet)."""
+"""The baseline SenFuNet: two sensors fused by a learned weight of each sample; docs/baselines.md, `senfunet`."""

@@ -1,4 +1,4 @@
-"""The loss of mapping and tracking; METHOD, Baselines, Vox-Fusion."""
+"""The loss of mapping and tracking; docs/baselines.md, `vox-fusion`."""
 
 from __future__ import annotations
 

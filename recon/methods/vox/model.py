@@ -15,7 +15,7 @@ from ...core.config.vox import VoxConfig
 from .lookup import trilinear
 from .voxels import VoxelMap
 
-_START = 0.01  # standard deviation of new embeddings (METHOD, Baselines)
+_START = 0.01  # standard deviation of new embeddings
 
 
 class Decoder(nn.Module):

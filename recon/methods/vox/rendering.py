@@ -10,7 +10,7 @@ from torch import Tensor
 from .model import VoxModel
 from .sampling import Samples
 
-_FAINT = 1e-4  # a sample that makes up less of its ray than this has no colour worth asking for
+_MIN_COLOR_WEIGHT = 1e-4  # the colour of samples with less weight in their ray is not computed
 
 
 @dataclass(frozen=True)
@@ -25,8 +25,8 @@ class Rendered:
 def bell_weights(sdf: Tensor, z: Tensor, there: Tensor, truncation_m: float) -> Tensor:
     """sdf (N, S) truncations, z (N, S) metres, there (N, S) -> (N, S) weights that sum to 1 on rays with samples.
 
-    sigmoid(s / t) sigmoid(-s / t), cut where t has gone by since the first change of sign, normalised (METHOD,
-    Baselines). Where the sign never changes, nothing is cut. Only existing samples count, and they come first.
+    sigmoid(s / t) sigmoid(-s / t), cut where t has gone by since the first change of sign, normalised.
+    Where the sign never changes, nothing is cut. Only existing samples count, and they come first.
     """
     bell = torch.sigmoid(sdf / truncation_m) * torch.sigmoid(-sdf / truncation_m)
     with torch.no_grad():
@@ -42,7 +42,7 @@ def bell_weights(sdf: Tensor, z: Tensor, there: Tensor, truncation_m: float) -> 
 def render(model: VoxModel, points: Tensor, samples: Samples) -> Rendered:
     """Render rays at `samples`, the M existing of which lie at world points (M, 3), metres.
 
-    Differentiable in the points and in the model. Colour is asked only where a sample is seen.
+    Differentiable in the points and in the model. Colour is computed only for samples with a noticeable weight.
     """
     if not len(points):
         empty = samples.z.new_zeros(len(samples.z))
@@ -55,7 +55,7 @@ def render(model: VoxModel, points: Tensor, samples: Samples) -> Rendered:
     sdf = samples.pad(distance.to(embedding.dtype))
     weights = bell_weights(sdf, samples.z, samples.there, model.config.truncation_m)
     own = weights.view(-1)[samples.index]
-    seen = (own.detach() > _FAINT).nonzero()[:, 0]
+    seen = (own.detach() > _MIN_COLOR_WEIGHT).nonzero()[:, 0]
     with model.precision():
         rgb = model.decoder.color(hidden[seen])
     rgb = rgb.to(own.dtype) * own[seen, None]

@@ -42,8 +42,8 @@ class Samples:
 def place_samples(hits: Hits, step_m: float, offset: Tensor) -> Samples:
     """Samples every `step_m` along the way that rays have within voxels, gaps between voxels left out.
 
-    offset (N,) in 0..1 shifts the samples of a ray by that share of a step. METHOD, Baselines: the step is 0.05 of the
-    voxel; it is taken as z-depth, as everything along a ray is here.
+    offset (N,) in 0..1 shifts the samples of a ray by that share of a step. The step is a z-depth, as all distances
+    along a ray here.
     """
     lengths = hits.exit - hits.entry
     reached = torch.cumsum(lengths, 1)

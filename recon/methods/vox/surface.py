@@ -14,7 +14,7 @@ from ...volume.neural_field import ACTIVE_VOXELS, NeuralField
 from ...volume.sparse_grid import ROWS, SparseGrid
 from .model import VoxModel
 
-MAX_VIEWS = 60  # asked what they saw
+MAX_VIEWS = 60  # images that decide which samples were observed
 _BLOCKS_AT_A_TIME = 512
 _POINTS_AT_A_TIME = 1 << 14
 
@@ -32,10 +32,10 @@ class SampledSurface:
             self.voxels[_rows_of(ids)] = model.voxels.containing(points)
 
     @torch.no_grad()
-    def look(self, depths: Tensor, T_world_camera: Tensor) -> None:
-        """Count what an image saw: depths (P, K) by sensor, metres, 0 = none, from T_world_camera (4, 4).
+    def count_view(self, depths: Tensor, T_world_camera: Tensor) -> None:
+        """Count the samples that an image observed: depths (P, K) metres by sensor, 0 = none; T_world_camera (4, 4).
 
-        Seen is what lies before the farthest reading of its pixel or not more than a truncation behind it.
+        Observed is what lies before the farthest depth of its pixel or at most a truncation behind it.
         """
         farthest, camera = depths.amax(1), self.camera
         for ids in self._parts(self._in_view(T_world_camera)):
@@ -49,9 +49,9 @@ class SampledSurface:
 
     @torch.no_grad()
     def field(self, least: int, config: FieldConfig, on_event: OnEvent = ignore) -> NeuralField:
-        """What the model says where at least `least` images looked; colour near the surface, grey elsewhere.
+        """The model where at least `least` images observed it; colour near the surface, grey elsewhere.
 
-        What it says of its own error is one truncation everywhere: the method has no notion of it.
+        Sigma is one truncation everywhere: the method does not estimate errors.
         """
         model, device = self.model, self.model.device
         known = (self.voxels >= 0) & (self.counts >= least)

@@ -23,7 +23,7 @@ from .views import VoxView, as_pose, pixel_directions
 
 
 class VoxSystem:
-    """Model, mapper and tracker. With several sensors every reading weighs the same (METHOD, Baselines)."""
+    """Model, mapper and tracker. Measurements of all sensors have the same weight."""
 
     learns_uncertainty = False
 
@@ -77,7 +77,7 @@ class VoxSystem:
             index = order[position]
             depths = torch.stack([self.frames.depth(index, s).view(-1) for s in self.frames.sensors], 1)
             depths = torch.where(depths < settings.max_depth_m, depths, 0.0)
-            surface.look(depths.to(self.device), as_pose(poses[index]).to(self.device))
+            surface.count_view(depths.to(self.device), as_pose(poses[index]).to(self.device))
         return surface.field(settings.surface_readings, self.config.field, on_event)
 
     def curves(self) -> dict[str, list[float]]:

@@ -1,4 +1,4 @@
-"""Tracking: the pose from which the map looks like the frame."""
+"""Tracking: the pose at which the rendered map matches the frame."""
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ from .views import VoxView
 def track(
     model: VoxModel, view: VoxView, directions: Tensor, generator: torch.Generator, config: VoxConfig
 ) -> tuple[Tensor, bool]:
-    """T_world_camera (4, 4) of `view`, looked for from the pose that it has; and whether any ray met the map.
+    """T_world_camera (4, 4) of `view`, optimised from the pose that it has; and whether any ray met the map.
 
-    directions (P, 3) of all pixels in the camera. METHOD, Baselines: Adam on se(3), new rays in each step.
+    directions (P, 3) of all pixels in the camera. Adam on translation and rotation vector, with new rays in each step.
     """
     start = view.T_world_camera
     pixels = view.draw(config.tracking_rays, config.tracking_iterations, generator)

@@ -15,7 +15,7 @@ def test_parameter_counts(inputs, parameters):
 
 
 def test_the_papers_count_is_that_of_a_single_pixel_and_one_layer_more():
-    """METHOD, D4: 5409 is a patch of 1 x 1, two features and six hidden layers of 32; five have 1056 fewer."""
+    """The paper's 5409 is a patch of 1 x 1, two features and six hidden layers of 32; five have 1056 fewer."""
     single = sum(p.numel() for p in NoiseNet(2, patch=1).parameters())
     assert single == 4353 == 5409 - (32 * 32 + 32)
 

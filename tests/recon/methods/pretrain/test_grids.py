@@ -2,7 +2,7 @@
 
 import pytest
 import torch
-from uncle.recon.methods.pretrain.grids import EXTENT_M, FeatureGrids, look_up
+from uncle.recon.methods.pretrain.grids import EXTENT_M, FeatureGrids, interpolate
 
 
 def test_lookup_reproduces_a_trilinear_function_in_world_axes():
@@ -11,7 +11,7 @@ def test_lookup_reproduces_a_trilinear_function_in_world_axes():
     grid = (1 + 2 * x - 3 * y + 5 * z)[None, None]
     points = (torch.rand(1, 30, 3) - 0.5) * EXTENT_M
     expected = 1 + points @ torch.tensor([2.0, -3.0, 5.0])
-    torch.testing.assert_close(look_up(grid, points)[..., 0], expected, atol=1e-5, rtol=0)
+    torch.testing.assert_close(interpolate(grid, points)[..., 0], expected, atol=1e-5, rtol=0)
 
 
 def test_steps_are_those_of_adam_for_every_age():

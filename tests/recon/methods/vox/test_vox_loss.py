@@ -36,7 +36,7 @@ def slow_sample(scene, point: Tensor, voxel: int) -> tuple[Tensor, Tensor]:
 
 
 def slow_loss(scene) -> Tensor:
-    """The loss of all rays, as METHOD puts it."""
+    """The loss of all rays, one by one, by the formulas of docs/baselines.md."""
     color, depth, free, near = [], [], [], []
     for ray in range(len(scene.origins)):
         columns = scene.samples.there[ray].nonzero()[:, 0].tolist()
