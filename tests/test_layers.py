@@ -200,7 +200,6 @@ PRIVATE_USES = {
     "tests/recon/core/test_system_check.py": {"_loads"},
     "tests/recon/evaluation/bench/test_process.py": {"_running"},
     "tests/recon/methods/nice/test_mapper.py": {"_reach_to", "_refine"},
-    "tests/recon/methods/vox/test_vox_loss.py": {"_FAINT"},
     "tests/recon/sensors/test_fault_detection.py": {"_past"},
     "tests/recon/tracking/test_keyframe_graph.py": {"_MAX_CAMERAS", "_adjust"},
     "tests/recon/tracking/test_outlier_poses.py": {"_repair_outlier_poses"},

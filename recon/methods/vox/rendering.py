@@ -10,7 +10,7 @@ from torch import Tensor
 from .model import VoxModel
 from .sampling import Samples
 
-_MIN_COLOR_WEIGHT = 1e-4  # the colour of samples with less weight in their ray is not computed
+MIN_COLOR_WEIGHT = 1e-4  # the colour of samples with less weight in their ray is not computed
 
 
 @dataclass(frozen=True)
@@ -55,7 +55,7 @@ def render(model: VoxModel, points: Tensor, samples: Samples) -> Rendered:
     sdf = samples.pad(distance.to(embedding.dtype))
     weights = bell_weights(sdf, samples.z, samples.there, model.config.truncation_m)
     own = weights.view(-1)[samples.index]
-    seen = (own.detach() > _MIN_COLOR_WEIGHT).nonzero()[:, 0]
+    seen = (own.detach() > MIN_COLOR_WEIGHT).nonzero()[:, 0]
     with model.precision():
         rgb = model.decoder.color(hidden[seen])
     rgb = rgb.to(own.dtype) * own[seen, None]

@@ -71,7 +71,7 @@ def fast_loss(scene) -> Tensor:
 
 
 def test_loss_and_gradients_are_those_of_the_slow_implementation(wall, monkeypatch):
-    monkeypatch.setattr(rendering, "_FAINT", 0.0)
+    monkeypatch.setattr(rendering, "MIN_COLOR_WEIGHT", 0.0)
     learned = [wall.model.embeddings, *wall.model.decoder.parameters()]
     slow, fast = slow_loss(wall), fast_loss(wall)
     assert float(slow.detach()) > 1
