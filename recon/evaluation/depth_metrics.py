@@ -164,7 +164,7 @@ def sample_views(
         if len(poses) == settings.views:
             break
         position = center + axes @ (rng.uniform(-1.0, 1.0, 3) * half)
-        T_world_camera = look_at(position, rng.uniform(-10_000.0, 10_000.0, 3))
+        T_world_camera = pose_towards(position, rng.uniform(-10_000.0, 10_000.0, 3))
         clearance_m = parameters.clearance_m
         if clearance_m is not None and surface.distance(position[None])[0] < clearance_m:
             continue
@@ -198,8 +198,8 @@ def centre_box(reference: Mesh, parameters: NewViewParameters) -> tuple[np.ndarr
     return center, box.R[:, order], 0.5 * box.extent[order] * parameters.box_ratios
 
 
-def look_at(position: np.ndarray, target: np.ndarray) -> np.ndarray:
-    """(4, 4) T_world_camera at `position` looking at `target`, OpenCV axes, image rows running along -z."""
+def pose_towards(position: np.ndarray, target: np.ndarray) -> np.ndarray:
+    """(4, 4) T_world_camera at `position` (3,) with its optical axis towards `target` (3,), image rows along -z."""
     forward = (target - position) / np.linalg.norm(target - position)
     right = np.cross([0.0, 0.0, -1.0], forward)
     right = right / np.linalg.norm(right) if np.linalg.norm(right) > 1e-9 else np.array([1.0, 0.0, 0.0])

@@ -44,8 +44,8 @@ def picture_camera(size: tuple[int, int], half_width_tangent: float) -> Camera:
     return Camera(width, height, focal, focal, (width - 1) / 2, (height - 1) / 2)
 
 
-def look_rotation(forward: np.ndarray, up: np.ndarray) -> np.ndarray:
-    """(3, 3) R_world_camera that faces along `forward` with `up` upwards in the picture (OpenCV axes)."""
+def rotation_towards(forward: np.ndarray, up: np.ndarray) -> np.ndarray:
+    """(3, 3) R_world_camera with the optical axis along `forward` (3,) and `up` (3,) upwards in the picture."""
     z = forward / np.linalg.norm(forward)
     x = np.cross(z, up)
     if np.linalg.norm(x) < 1e-6:  # `forward` is parallel to `up`: any horizontal direction is right
@@ -59,7 +59,7 @@ def framed_view(
 ) -> View:
     """A view along `forward` from the distance at which all `points` (P, 3) just fill the picture."""
     camera = picture_camera(size, half_width_tangent=0.5)
-    rotation = look_rotation(forward, up)
+    rotation = rotation_towards(forward, up)
     local = points @ rotation
     limits = np.array([_FILL_RATIO * camera.width / camera.fx, _FILL_RATIO * camera.height / camera.fy])
     eye = np.array([*(local[:, :2].min(0) + local[:, :2].max(0)) / 2, 0.0])

@@ -25,7 +25,7 @@ _lock, _stopping = threading.Lock(), threading.Event()
 def run_process(
     name: str, command: Sequence[object], threads: int | None = None, log: Path | None = None
 ) -> tuple[float, str]:
-    """Wall seconds of a process and its stdout. With `threads` it uses no more; what it says is added to `log`.
+    """Wall seconds of a process and its stdout; `threads` limits its threads, and its stderr is appended to `log`.
 
     Raises RunError with the last line it printed if it failed.
     """
@@ -40,7 +40,7 @@ def run_process(
     with _lock:
         _running.add(child)
     try:
-        out, said = child.communicate()
+        out, messages = child.communicate()
     finally:
         with _lock:
             _running.discard(child)
@@ -48,9 +48,9 @@ def run_process(
             child.terminate()
     if log is not None:
         with log.open("a") as file:
-            file.write(f"--- {name}\n{said}")
+            file.write(f"--- {name}\n{messages}")
     if child.returncode:
-        raise RunError(f"{name}: {_last_line(said, out, child.returncode)}")
+        raise RunError(f"{name}: {_last_line(child.returncode, messages, out)}")
     return round(time.perf_counter() - began, 2), out
 
 
@@ -99,7 +99,7 @@ def sensor_options(sensors: str) -> list[str]:
 
 
 def map_facts(run: Path) -> Record:
-    """What the manifest of `run` says about its map."""
+    """Facts of the `map` stage in the manifest of `run`."""
     return json.loads((run / "manifest.json").read_text())["stages"]["map"]["facts"]
 
 
@@ -111,14 +111,13 @@ def map_costs(run: Path, wall_s: float) -> Record:
 
 
 def evaluate(run: Path, *options: object, threads: int | None = None, log: Path | None = None) -> Record:
-    """Mesh and score a finished map; what `RUN/metrics.json` then says. Raises RunError."""
+    """Mesh and score a finished map; returns the content of `RUN/metrics.json`. Raises RunError."""
     uncle("mesh", "--run", run, "--overwrite", threads=threads, log=log)
     uncle("eval", "--run", run, "--json", *options, threads=threads, log=log)
     return json.loads((run / "metrics.json").read_text())
 
 
-def _last_line(*texts: str | int) -> str:
-    """The last line of the first text that says anything, without the program's own "Error: "."""
-    *said, code = texts
-    lines = next((text.strip().splitlines() for text in map(str, said) if text.strip()), [])
+def _last_line(code: int, *texts: str) -> str:
+    """The last line of the first text that is not blank, without the program's own "Error: "."""
+    lines = next((text.strip().splitlines() for text in texts if text.strip()), [])
     return lines[-1].removeprefix("Error: ") if lines else f"ended with code {code} and no message"

@@ -28,9 +28,9 @@ def _features(*names: str) -> str:
 
 
 def _paper_variants() -> dict[str, Settings]:
-    """The paper's eight: patch of 1 or 5 pixels, 2 or 7 features, small or large beta_min, as far as settings go.
+    """The paper's eight variants in the default method: patch of 1 or 5, 2 or 7 features, small or large beta_min.
 
-    A patch is what summarises one here. The normal of the seven follows from incidence and both slopes.
+    Spread, offset and holes of the depth in a window stand for the patch; incidence and both slopes for the normal.
     """
     patch = tuple(name for names in _PATCH.values() for name in names)
     seen = {"1K2F": _TWO, "1K7F": _SEVEN, "5K2F": (*_TWO, *patch), "5K7F": (*_SEVEN, *patch, "bend")}
@@ -39,7 +39,7 @@ def _paper_variants() -> dict[str, Settings]:
 
 
 def _of_the_papers_network() -> dict[str, Settings]:
-    """The same eight in the paper's own system, whose h_w sees the patch itself."""
+    """The same eight in the paper's own system, where the patch itself is the input of h_w."""
     choices = product((1, 5), (2, 7), (("S", "1e-3"), ("L", "1e-1")))
     return {
         f"h_w {patch}K{count}F{size}": (
@@ -59,19 +59,20 @@ GROUPS: dict[str, dict[str, Settings]] = {
         "two inputs": (_features(*_TWO),),
         "hidden 8": ("uncertainty.hidden=8",),
         "hidden 64": ("uncertainty.hidden=64",),
-        "sweeps 0": ("fusion.passes=0",),
-        "one look": ("photometric.max_passes=1",),
-        "one look, sweeps 2": ("photometric.max_passes=1", "fusion.passes=2"),
-        "readings worth alike": ("photometric.estimate_reliability=false",),
-        "no colour": ("photometric.enabled=false",),
+        "fusion.passes 0": ("fusion.passes=0",),
+        "one photometric pass": ("photometric.max_passes=1",),
+        "one photometric pass, fusion.passes 2": ("photometric.max_passes=1", "fusion.passes=2"),
+        "reliability off": ("photometric.estimate_reliability=false",),
+        "photometric depth off": ("photometric.enabled=false",),
         "quarter of the steps": ("uncertainty.steps_per_pass=100",),
-        "no blur": ("fusion.discretisation_voxels=0",),
+        "discretisation term 0": ("fusion.discretisation_voxels=0",),
         "beta_min 1 cm": ("uncertainty.beta_min_m=1e-2",),
         "no refinement": ("field.iterations=0",),
     },
 }
-# The groups that are not of the default method; and what every reading weighing the same is called in each method.
+# Method of the groups that do not use the default method.
 METHOD_OF = {"uncle-paper": "uncle-paper"}
+# Settings of each method that give all measurements the same weight.
 _UNWEIGHTED_BY: dict[str, Settings] = {
     "uncle": ("uncertainty.enabled=false",),
     "uncle-paper": ("nice.weighting=uniform",),
@@ -79,10 +80,10 @@ _UNWEIGHTED_BY: dict[str, Settings] = {
 
 
 def choose_variants(names: Sequence[str], added: Sequence[Sequence[str]] = ()) -> dict[str, Settings]:
-    """Variants of the default method by name, the unweighted one first: groups or single ones, and `added` as
-    (name, setting, ...).
+    """Settings of each variant of the default method in `names` (groups or variants), the unweighted one first.
 
-    Raises ConfigError for a name that there is not, or that is of another method.
+    `added` are further variants as (name, setting, ...). Raises ConfigError for unknown names and those of another
+    method.
     """
     others = [name for name in names if name in METHOD_OF or any(name in GROUPS[group] for group in METHOD_OF)]
     if others:
@@ -92,7 +93,10 @@ def choose_variants(names: Sequence[str], added: Sequence[Sequence[str]] = ()) -
 
 
 def variants_of_methods(names: Sequence[str]) -> list[Variant]:
-    """Variants by name or by group, of each method the unweighted one first. Raises ConfigError."""
+    """The variants in `names` (groups or variants); for each method the unweighted one first.
+
+    Raises ConfigError for unknown names.
+    """
     known = {name: group for group, variants in GROUPS.items() for name in variants}
     chosen: dict[str, dict[str, Settings]] = {}
     for name in names:
@@ -103,4 +107,4 @@ def variants_of_methods(names: Sequence[str]) -> list[Variant]:
         of_method = chosen.setdefault(method, {UNWEIGHTED: _UNWEIGHTED_BY[method]})
         if group is not None:
             of_method |= GROUPS[group] if name in GROUPS else {name: GROUPS[group][name]}
-    return [Variant(method, *item) for method, found in chosen.items() for item in found.items()]
+    return [Variant(method, *item) for method, variants in chosen.items() for item in variants.items()]

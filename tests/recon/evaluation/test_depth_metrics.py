@@ -10,8 +10,8 @@ from uncle.recon.evaluation.depth_metrics import (
     ViewSettings,
     centre_box,
     held_out_depth,
-    look_at,
     novel_view_depth,
+    pose_towards,
     sample_views,
 )
 from uncle.recon.evaluation.mesh_metrics import near_to
@@ -144,10 +144,10 @@ def test_open_scene_without_an_inside_is_an_error():
             novel_view_depth(scene, scene, ViewSettings(views=2))
 
 
-def test_look_at_is_a_right_handed_frame_that_looks_there():
-    T = look_at(np.array([1.0, 2.0, 3.0]), np.array([4.0, 2.0, 3.0]))
+def test_a_pose_towards_a_point_is_a_right_handed_frame_with_its_axis_there():
+    T = pose_towards(np.array([1.0, 2.0, 3.0]), np.array([4.0, 2.0, 3.0]))
     np.testing.assert_allclose(T[:3, :3], [[0, 0, 1], [-1, 0, 0], [0, -1, 0]], atol=1e-12)
-    straight_up = look_at(np.zeros(3), np.array([0.0, 0.0, 1.0]))[:3, :3]
+    straight_up = pose_towards(np.zeros(3), np.array([0.0, 0.0, 1.0]))[:3, :3]
     np.testing.assert_allclose(straight_up @ straight_up.T, np.eye(3), atol=1e-12)
     assert np.linalg.det(straight_up) == pytest.approx(1.0)
 
