@@ -101,8 +101,9 @@ class KeyframeGraph:
         """Adjust all; where pixels share an error, then place every frame on the landmarks, which hold still. Frames
         that lie where nobody expects them are placed again."""
         self.adjust_globally()
-        if any(s.common_px > 0 for s in self.frames):
-            frames, before = self._well_constrained(), {k: self.frames[k].pose for k in self.keyframes}
+        frames = self._well_constrained()
+        if frames and any(s.common_px > 0 for s in self.frames):
+            before = {k: self.frames[k].pose for k in self.keyframes}
             self._adjust(frames, self._all_but_first(frames), 10, free_points=False)
             self._propagate_to_frames(before, {*frames})
         self._repair_outlier_poses()
@@ -236,6 +237,9 @@ class KeyframeGraph:
                 frame_features.pose = self.frames[keyframe].pose @ inverse(before[keyframe]) @ frame_features.pose
 
     def _adjust(self, positions: list[int], free: np.ndarray, iterations: int, free_points: bool = True) -> None:
+        """Bundle adjustment of frames, of which `free` (C,) move; nothing without frames or measurements of them."""
+        if not positions:
+            return
         poses, points, observations, numbers = self._seen_by(positions, 3 * _OUTLIER)
         observations = observations[seen_at_least(observations, 2)] if free_points else observations.with_whole_pixels()
         edges = edges_among(self.edges, positions)

@@ -83,6 +83,7 @@ def reconstruct(
         require_map(state, len(indices))
 
         if online:
+            save(state, checkpoint)  # if what follows fails, --resume need not track again
             learn_noise(state)
             adopt_final_poses(state)
             updated = update_photometric_depth(state, on_event)

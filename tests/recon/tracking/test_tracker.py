@@ -29,6 +29,7 @@ from uncle.recon.run.tracking_record import TrackingRecord
 from uncle.recon.stages import map as map_stage
 from uncle.recon.stages.map import map_run
 from uncle.recon.stages.mesh import mesh_run
+from uncle.recon.tracking.tracker import AlignTracker
 
 CAMERA = Camera(160, 120, 95.0, 95.0, 79.5, 59.5)
 QUICK = [
@@ -93,7 +94,7 @@ def record(tmp_path: Path) -> Callable[..., RunDirectory]:
 
     def write(
         shots: Sequence[Shot], sensors: tuple[str, ...] = ("a",), posed: bool = True, missing: Sequence = (),
-        name: str = "run",
+        name: str = "run", registration_sigma_px: float = 0.0,
     ) -> RunDirectory:  # fmt: skip
         run, records = RunDirectory(tmp_path / name), []
         for index, shot in enumerate(shots):
@@ -113,7 +114,7 @@ def record(tmp_path: Path) -> Callable[..., RunDirectory]:
         write_text(run.frames_path, f"[{','.join(records)}]")
         manifest = Manifest(
             dataset="room", dataset_format="none", name="room", camera=CAMERA.to_dict(), sensors=sensors,
-            has_timestamps=True, reference_mesh=None,
+            has_timestamps=True, reference_mesh=None, registration_sigma_px=registration_sigma_px,
         )  # fmt: skip
         run.save_manifest(manifest)
         run.finish_stage("preprocess", "0", time.time(), {})
@@ -206,6 +207,27 @@ def test_depth_alone(walk, record):
     assert all(f.matches == 0 for f in result.record.frames)
 
 
+def test_depth_alone_where_colour_is_badly_registered(walk, record):
+    """An error of the registration concerns features alone, of which there are none."""
+    results = [track(record(walk[:8], name=f"run_{px}", registration_sigma_px=px), "tracking.color=false")
+               for px in (0.0, 3.0)]  # fmt: skip
+    assert results[1].where("lost") == []
+    for index, pose in results[0].poses.items():
+        np.testing.assert_allclose(results[1].poses[index], pose, atol=1e-3)
+
+
+def test_too_few_features_where_colour_is_badly_registered(walk, record):
+    """Colour in a corner of the image only: a few features, and no frame has enough of them to be adjusted."""
+    shots = []
+    for shot in walk[:8]:
+        color = np.zeros_like(shot.color)
+        color[40:64, 40:64] = shot.color[40:64, 40:64]
+        shots.append(replace(shot, color=color))
+    result = track(record(shots, registration_sigma_px=3.0))
+    assert result.where("lost") == []
+    assert result.ate_m(shots) < 0.06
+
+
 def test_baseline_tracks_by_features(walk, record):
     result = track(record(walk), method="tsdf")
     assert result.where("lost") == []
@@ -250,6 +272,23 @@ def test_broken_run_resumes_to_the_same_bytes(walk, record, monkeypatch):
             map_run(run, settings(), overwrite=True, on_event=partial(break_at, stage, done))
         map_run(run, settings(), resume=True)
         assert results(run) == expected, stage
+
+
+def test_what_fails_after_the_last_frame_can_be_resumed(walk, record, monkeypatch):
+    """Tracking takes less time than from one checkpoint to the next; still, resuming tracks no frame again."""
+    undisturbed, run = record(walk[:8], name="undisturbed"), record(walk[:8])
+    map_run(undisturbed, settings())
+
+    def fail(*_: object) -> None:
+        raise Broken
+
+    with monkeypatch.context() as patched:
+        patched.setattr(AlignTracker, "finish", fail)
+        with pytest.raises(Broken):
+            map_run(run, settings())
+    monkeypatch.setattr(AlignTracker, "track", fail)
+    map_run(run, settings(), resume=True)
+    assert results(run) == results(undisturbed)
 
 
 # --- whatever frames show --------------------------------------------------------------------------------------
