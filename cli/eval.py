@@ -56,6 +56,7 @@ if TYPE_CHECKING:
 @click.pass_context
 def command(
     ctx: click.Context,
+    /,
     mesh: Path | None,
     gt: Path | None,
     run_path: Path,

@@ -216,7 +216,7 @@ def color_by_distance(mesh: Mesh, reference: Mesh, limit_m: float, colormap: str
 
 def nearest_distance(points: np.ndarray, cloud: np.ndarray) -> np.ndarray:
     """(N, 3) points -> (N,) distance to the nearest of the (M, 3) `cloud`, metres; inf if the cloud is empty."""
-    return cKDTree(cloud).query(points)[0] if len(cloud) else np.full(len(points), np.inf)
+    return np.asarray(cKDTree(cloud).query(points)[0]) if len(cloud) else np.full(len(points), np.inf)
 
 
 def near_to(cloud: np.ndarray, distance_m: float = DEFAULT_PARAMETERS.seen_distance_m) -> PointFilter:

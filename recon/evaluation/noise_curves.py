@@ -65,11 +65,9 @@ def collect_beta_samples(
     frames: RunFrames, sensor: str, parameters: NoiseCurveParameters = DEFAULT_PARAMETERS
 ) -> BetaSamples | None:
     """Samples of a few frames; None where hardly any pixel has a beta. Raises DataError."""
-    parts = [
-        _frame_samples(frames, index, sensor, parameters.stride)
-        for index in spread_frames(frames, sensor, parameters.frames)
-    ]
-    parts = [part for part in parts if part is not None]
+    indices = spread_frames(frames, sensor, parameters.frames)
+    of_frames = (_frame_samples(frames, index, sensor, parameters.stride) for index in indices)
+    parts = [part for part in of_frames if part is not None]
     samples = BetaSamples(*np.concatenate(parts, axis=1)) if parts else None
     return samples if samples is not None and len(samples.depth) >= parameters.min_measurements else None
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -116,7 +117,7 @@ def _score_held_out_depth(
 
     def views(sensor: str) -> Iterator[tuple[np.ndarray, np.ndarray]]:
         for index in track_progress(indices, len(indices), f"held-out depth, {sensor}", on_event):
-            yield frames.pose(index), frames.depth(index, sensor).numpy()
+            yield frames.known_pose(index), frames.depth(index, sensor).numpy()
 
     sensors = (GROUND_TRUTH_SENSOR,) if GROUND_TRUTH_SENSOR in manifest.sensors else mapped
     return {sensor: held_out_depth(mesh, frames.camera, views(sensor), sensor) for sensor in sensors}
@@ -124,7 +125,7 @@ def _score_held_out_depth(
 
 def _score_held_out_color(run: RunDirectory, frames: RunFrames, indices: list[int], on_event: OnEvent) -> HeldOutColor:
     progress = track_progress(indices, len(indices), "held-out colour", on_event)
-    views = ((frames.pose(index), frames.color(index).numpy()) for index in progress)
+    views = ((frames.known_pose(index), frames.color(index).numpy()) for index in progress)
     return held_out_color(load_run_mesh(run), frames.camera, views)
 
 
@@ -144,9 +145,8 @@ def _score_uncertainties(
 ) -> dict[str, UncertaintyMetrics]:
     metrics = {}
     for sensor in _sensors_with_beta(run, manifest, skipped):
-        scores = score_or_skip(
-            f"uncertainty/{sensor}", skipped, lambda s=sensor: score_uncertainty(frames, s, seed, on_event)
-        )
+        score = partial(score_uncertainty, frames, sensor, seed, on_event)
+        scores = score_or_skip(f"uncertainty/{sensor}", skipped, score)
         if scores is not None:
             metrics[sensor] = scores
     return metrics

@@ -44,4 +44,4 @@ def completeness(run: RunDirectory, path: CameraPath) -> float:
     posed = rows_at(path.posed.timestamps, times) >= 0
     is_held_out = np.zeros(len(times), dtype=bool)
     is_held_out[[index for index in held_out if 0 <= index < len(times)]] = True
-    return float(np.count_nonzero(posed) / max(1, np.count_nonzero(posed | ~is_held_out)))
+    return int(np.count_nonzero(posed)) / max(1, int(np.count_nonzero(posed | ~is_held_out)))

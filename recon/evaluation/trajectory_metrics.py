@@ -161,7 +161,7 @@ def associate(estimate: Trajectory, reference: Trajectory, max_difference_s: flo
     if len(finite[0]) == 0 or len(finite[1]) == 0:
         raise DataError("one of the trajectories holds no finite pose")
     times, true_times = estimate.timestamps[finite[0]], reference.timestamps[finite[1]]
-    nearest = cKDTree(true_times[:, None]).query(times[:, None])[1]
+    nearest = np.asarray(cKDTree(true_times[:, None]).query(times[:, None])[1])
     difference = np.abs(times - true_times[nearest])
     order = np.argsort(difference, kind="stable")
     order = order[difference[order] <= max_difference_s + 1e-9]

@@ -66,7 +66,8 @@ class CameraPath:
         if self.record is None:
             return []
         spans: list[tuple[float, float]] = []
-        previous, open_since = None, None
+        previous: float | None = None
+        open_since: float | None = None
         for frame in self.record.frames:
             if frame.status == "lost" and open_since is None:
                 open_since = frame.timestamp if previous is None else previous

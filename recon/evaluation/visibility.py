@@ -112,7 +112,7 @@ class Visibility:
     def _views(self) -> Iterator[tuple[np.ndarray, list[np.ndarray]]]:
         for index in self.indices:
             depths = [self.frames.depth(index, sensor).numpy() for sensor in self.sensors]
-            yield self.frames.pose(index), depths
+            yield self.frames.known_pose(index), depths
 
 
 def voxel_means(points: np.ndarray, voxel_m: float) -> np.ndarray:

@@ -15,7 +15,7 @@ from numba import njit
 from torch import Tensor
 
 from ..core.camera import Camera
-from ..core.errors import RunError
+from ..core.errors import DataError, RunError
 from ..core.files import BETA_UNITS_PER_M, DEPTH_UNITS_PER_M, read_image
 from ..core.frame import Frame
 from .directory import RunDirectory
@@ -52,6 +52,13 @@ class RunFrames:
         """(4, 4) T_world_camera or None."""
         matrix = self.records[index].T_world_camera
         return None if matrix is None else np.array(matrix)
+
+    def known_pose(self, index: int) -> np.ndarray:
+        """(4, 4) T_world_camera. Raises DataError if the frame has none."""
+        pose = self.pose(index)
+        if pose is None:
+            raise DataError(f"frame {index} of {self.run.root} has no camera pose; choose frames that have one")
+        return pose
 
     def color(self, index: int) -> Tensor:
         """(H, W, 3) uint8 RGB. Raises DataError."""

@@ -66,7 +66,7 @@ def map_run(
     continues = resume and not overwrite and checkpoint.load() is not None  # a broken --overwrite goes on, too
     if run.is_current(STAGE, digest) and not overwrite and not continues:
         return MapSummary(frames=len(Trajectory.load(run.trajectory_path)), unchanged=True)
-    facts = {} if prior is None else {"prior": _checked(prior, run, config, on_event)}
+    facts: dict[str, Any] = {} if prior is None else {"prior": _checked(prior, run, config, on_event)}
     frames = RunFrames(run, config.sensors)
     indices, held_out = split_frames(frames, config, on_event)
     _prepare(checkpoint, resume and not overwrite, on_event)

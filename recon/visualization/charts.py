@@ -5,7 +5,7 @@ from __future__ import annotations
 import io
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -35,7 +35,7 @@ class ColorScale:
         colors[~np.isfinite(values)] = 160
         return colors
 
-    def draw_bar(self, figure: Figure, **layout: object) -> None:
+    def draw_bar(self, figure: Figure, **layout: Any) -> None:
         """A colour bar; `layout` holds placement arguments of `Figure.colorbar`. Its arrow means all larger values."""
         from matplotlib.cm import ScalarMappable
         from matplotlib.colors import Normalize

@@ -94,8 +94,10 @@ def _named(items: Any) -> list[tuple[str, Any]]:
     names = []
     for number, item in enumerate(items, start=1):
         threshold = item.get("threshold_m") if isinstance(item, dict) else None
-        is_number = isinstance(threshold, int | float) and not isinstance(threshold, bool)
-        names.append(f"at {threshold * 100:g} cm" if is_number else str(number))
+        if isinstance(threshold, int | float) and not isinstance(threshold, bool):
+            names.append(f"at {threshold * 100:g} cm")
+        else:
+            names.append(str(number))
     return list(zip(names, items, strict=True))
 
 

@@ -14,6 +14,7 @@ import tempfile
 from collections.abc import Sequence
 from functools import cache
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -25,6 +26,8 @@ from ..core.files import read_image, write_image
 from .raycast_renderer import Pictures
 from .shading import SUPERSAMPLING, Geometry, Layer, average_down, light_triangles
 from .views import View
+
+Renderer = Any  # open3d.visualization.rendering.OffscreenRenderer, which has no types
 
 INSTALL_HINT = "sudo apt-get install -y libvulkan1 mesa-vulkan-drivers"
 _START_SECONDS = 120.0  # time limit; starting a driver can be slow on a loaded machine
@@ -63,7 +66,8 @@ def _render_in_process(geometry: Geometry, layers: Sequence[Layer], views: Seque
     with tempfile.TemporaryDirectory(prefix="uncle-snapshot-") as folder:
         job = Path(folder)
         np.savez(job / "geometry.npz", vertices=geometry.vertices, faces=geometry.faces)
-        np.savez(job / "layers.npz", **{layer.name: layer.colors for layer in layers})
+        colors: dict[str, Any] = {layer.name: layer.colors for layer in layers}
+        np.savez(job / "layers.npz", **colors)
         (job / "job.json").write_text(json.dumps(_describe(layers, views)))
         command = [sys.executable, "-m", __name__, folder]
         try:
@@ -78,7 +82,7 @@ def _render_in_process(geometry: Geometry, layers: Sequence[Layer], views: Seque
         }
 
 
-def _describe(layers: Sequence[Layer], views: Sequence[View]) -> dict[str, list]:
+def _describe(layers: Sequence[Layer], views: Sequence[View]) -> dict[str, list[dict[str, Any]]]:
     return {
         "layers": [{"name": layer.name, "contrast": layer.contrast} for layer in layers],
         "views": [
@@ -143,7 +147,7 @@ def _half_width_tangent(camera: Camera) -> float:
     return max(camera.cx + 0.5, camera.width - camera.cx - 0.5) / camera.fx
 
 
-def _open_renderer(camera: Camera):
+def _open_renderer(camera: Camera) -> Renderer:
     from open3d.visualization import rendering
 
     renderer = rendering.OffscreenRenderer(camera.width * SUPERSAMPLING, camera.height * SUPERSAMPLING)
@@ -152,7 +156,7 @@ def _open_renderer(camera: Camera):
     return renderer
 
 
-def _aim(renderer, camera: Camera, eye: np.ndarray, reach: float) -> None:
+def _aim(renderer: Renderer, camera: Camera, eye: np.ndarray, reach: float) -> None:
     """Point the renderer's camera along z from `eye` (3,), y down; the far plane is at about `reach` metres."""
     fine = camera.resized(camera.width * SUPERSAMPLING, camera.height * SUPERSAMPLING)
     intrinsic = fine.matrix
@@ -163,7 +167,7 @@ def _aim(renderer, camera: Camera, eye: np.ndarray, reach: float) -> None:
     renderer.scene.camera.look_at(eye + np.array([0.0, 0.0, 1.0]), eye, np.array([0.0, -1.0, 0.0]))
 
 
-def _upload(renderer, corners: np.ndarray, colors: np.ndarray) -> None:
+def _upload(renderer: Renderer, corners: np.ndarray, colors: np.ndarray) -> None:
     """Add separate triangles to the scene: corners (3K, 3) with colors (3K, 3) 0..255."""
     import open3d as o3d
 

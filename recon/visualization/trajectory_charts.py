@@ -52,12 +52,12 @@ def trajectory_chart(path: CameraPath) -> bytes:
         figure.subplots(1, 2), ((first, second), (first, third)),
         ("Camera path, in the plane of its largest extent", "Camera path, from the side"), strict=True,
     ):  # fmt: skip
-        lines = [] if true is None else [Line("true", *true.T_world_camera[:, pair, 3].T, "-", _TRUE)]
+        lines = [] if true is None else [_curve("true", true.T_world_camera[:, pair, 3], "-", _TRUE)]
         x, y = _broken(posed.timestamps, centres, path.lost_spans).T[list(pair)]
         lines.append(Line("estimated" if true is None else "estimated, aligned", x, y, "-", _ESTIMATE))
         lines += _lost_lines(path, centres[:, pair], None if true is None else true.T_world_camera[:, pair, 3])
         lines += _status_marks(path, centres[:, pair])
-        lines.append(Line("start", *centres[:1, pair].T, "*", "black"))
+        lines.append(_curve("start", centres[:1, pair], "*", "black"))
         draw_lines(axes, lines, f"{'xyz'[pair[0]]} [m]", f"{'xyz'[pair[1]]} [m]", title)
         axes.lines[-1].set_markersize(11)
         axes.set_aspect("equal", adjustable="datalim")
@@ -91,6 +91,11 @@ def drift_chart(path: CameraPath) -> bytes | None:
     return encode_figure(figure)
 
 
+def _curve(name: str, points: np.ndarray, style: str, color: str) -> Line:
+    """The curve through points (N, 2)."""
+    return Line(name, points[:, 0], points[:, 1], style, color)
+
+
 def _draw_errors(axes: Axes, path: CameraPath, errors: dict[str, np.ndarray], sigma: np.ndarray | None) -> None:
     """One panel: errors of the matched poses by name and `sigma` of the posed frames, in the unit of the axis."""
     for number, (begin, end) in enumerate(path.lost_spans):
@@ -103,7 +108,7 @@ def _draw_errors(axes: Axes, path: CameraPath, errors: dict[str, np.ndarray], si
         lines += [] if errors else [Line(_SIGMA, times, values, "-", _ESTIMATE)]
     if path.matched is not None:
         for (name, values), color in zip(errors.items(), (_ESTIMATE, _ALIGNED), strict=True):
-            lines.append(Line(name, *_over_time(path, path.matched.timestamps, values), "-", color))
+            lines.append(_curve(name, _over_time(path, path.matched.timestamps, values).T, "-", color))
     draw_lines(axes, lines, "", "")
     axes.set_ylim(0, _top(list(errors.values()), sigma))
     axes.legend(frameon=False, fontsize=9, loc="upper left")
@@ -153,7 +158,7 @@ def _status_marks(path: CameraPath, centres: np.ndarray) -> list[Line]:
     rows = record_rows(path.record, path.posed.timestamps)
     statuses = np.array(["" if row < 0 else path.record.frames[row].status for row in rows])
     return [
-        Line(f"{status} ({np.count_nonzero(statuses == status)})", *centres[statuses == status].T, "o", color)
+        _curve(f"{status} ({np.count_nonzero(statuses == status)})", centres[statuses == status], "o", color)
         for status, color in _STATUS_COLORS.items()
         if (statuses == status).any()
     ]

@@ -112,12 +112,12 @@ def execute(job: Job, bench: Bench, choice: Choice, scenes: dict[str, Scene]) ->
     """Map, mesh and score in a new run directory, each a process of its own. Raises RunError."""
     scene, run = scenes[job.dataset], bench.out / job.dataset / "runs" / re.sub(r"[^\w.+-]+", "_", job.key)
     process.new_run(scene.base, run)
-    how = {"threads": bench.threads, "log": run / "log.txt"}
-    wall_s = process.uncle("map", "--run", run, *map_options(job, choice), **how)
+    threads, log = bench.threads, run / "log.txt"
+    wall_s = process.uncle("map", "--run", run, *map_options(job, choice), threads=threads, log=log)
     found = job._asdict() | process.map_costs(run, wall_s)
     found |= {"frames_per_s": round(scene.frames / wall_s, 3), "placement": _placement(run, bench)}
     if not job.timed_in:
-        metrics = process.evaluate(run, "--protocol", choice.protocol, **how)
+        metrics = process.evaluate(run, "--protocol", choice.protocol, threads=threads, log=log)
         found |= scores.scores(metrics) | (scores.trajectory_scores(metrics) if job.setting != "given" else {})
     _tidy(run, bench, wanted=not job.timed_in)
     return found

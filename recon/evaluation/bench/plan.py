@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from ...core.errors import ConfigError
-from . import methods
+from .methods import BASELINE, Catalogue
 from .process import Record
 from .variants import Settings, Variant
 
@@ -76,7 +76,7 @@ class Choice:
     protocol: str = "standard"
     device: str = "auto"
     variants: tuple[Variant, ...] = ()
-    catalogue: methods.Catalogue = field(default_factory=methods.Catalogue)
+    catalogue: Catalogue = field(default_factory=Catalogue)
 
     def overrides_of(self, method: str) -> Settings:
         """Those of every method and its own, as `uncle map --set` takes them."""
@@ -141,7 +141,7 @@ def _turn(scene: Scene, choice: Choice, setting: str, sensors: str, seed: int) -
     """Every method once."""
     hold_out = HOLD_OUT if setting == "given" and not scene.has_mesh else 0
     entries = [
-        (method, "", ())
+        Variant(method, "", ())
         for method in choice.methods
         if not choice.catalogue.why_not(method, setting)
         and seed < choice.catalogue.runs_of(method, setting, choice.seeds)
@@ -164,9 +164,9 @@ def with_timing(jobs: Sequence[Job], records: dict[str, Record], session: str) -
     Times of different calls are not compared, because the machine may have changed.
     """
     done = {job: job.key in records and is_done(job, records[job.key]) for job in jobs}
-    needed = {_place(job) for job, is_old in done.items() if not is_old and job.method != methods.BASELINE}
-    made_anew = {_place(job) for job, is_old in done.items() if not is_old and job.method == methods.BASELINE}
-    again = {_place(job): job._replace(timed_in=session) for job in jobs if job.method == methods.BASELINE}
+    needed = {_place(job) for job, is_old in done.items() if not is_old and job.method != BASELINE}
+    made_anew = {_place(job) for job, is_old in done.items() if not is_old and job.method == BASELINE}
+    again = {_place(job): job._replace(timed_in=session) for job in jobs if job.method == BASELINE}
     return [*(job for place, job in again.items() if place in needed - made_anew), *jobs]
 
 

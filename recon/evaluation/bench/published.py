@@ -5,13 +5,14 @@ from __future__ import annotations
 _NICE, _PRE, _OURS = "nice-slam", "nice-slam-pre", "uncle-paper"
 F, L1, ATE = "F 5 cm", "depth L1", "ATE"
 Figures = dict[str, float]
+Triple = tuple[float | None, float | None, float | None]
 
 
-def _three(f: tuple, l1: tuple, ate: tuple = (None, None, None)) -> dict[str, Figures]:
+def _three(f: Triple, l1: Triple, ate: Triple = (None, None, None)) -> dict[str, Figures]:
     """Figures of NICE-SLAM, NICE-SLAM+Pre and UncLe-SLAM by method."""
     rows = zip((_NICE, _PRE, _OURS), f, l1, ate, strict=True)
     named = {method: dict(zip((F, L1, ATE), figures, strict=True)) for method, *figures in rows}
-    return {method: {k: v for k, v in found.items() if v is not None} for method, found in named.items()}
+    return {method: {k: v for k, v in figures.items() if v is not None} for method, figures in named.items()}
 
 
 _NO = (None, None, None)
