@@ -87,7 +87,7 @@ def execute(job: Job, dataset: Path, out: Path) -> Record:
     recording = open_dataset(dataset)
     sensors = [*job.sensors.split("+"), *(["gt"] if "gt" in recording.sensors else [])]
     faulty = FaultyRecording(recording, job.sensor, job.fault, job.start) if job.fault != "none" else recording
-    preprocess_run(faulty, RunDirectory(base), dataset=dataset, dataset_format=recording.format, sensors=sensors)
+    preprocess_run(faulty, RunDirectory(base), dataset=dataset, sensors=sensors)
     new_run(base, run)
     uncle("map", "--run", run, *sensor_options(job.sensors), *METHODS[job.method], "--seed", job.seed, "--overwrite")
     uncle("mesh", "--run", run, "--overwrite")

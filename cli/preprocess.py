@@ -50,7 +50,6 @@ def command(
         recording,
         RunDirectory(run_path),
         dataset=dataset,
-        dataset_format=recording.format,
         frames=frames,
         sensors=sensors or None,
         lossless=lossless,

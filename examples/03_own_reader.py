@@ -77,9 +77,7 @@ def main() -> None:
 
     register_reader(ReaderSpec("stacked", "recording.npz", "all frames in one file", StackedReader()))
     recording = open_dataset(options.dataset)
-    summary = preprocess_run(
-        recording, RunDirectory(options.run), dataset=options.dataset, dataset_format=recording.format
-    )
+    summary = preprocess_run(recording, RunDirectory(options.run), dataset=options.dataset)
     print(f"{summary.frames} frames of the format {recording.format} in {options.run}")
 
 

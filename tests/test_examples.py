@@ -35,7 +35,7 @@ def dataset(tmp_path_factory):
 def mapped(dataset):
     """A run with a map of the default method."""
     run, recording = RunDirectory(dataset.parent / "run"), open_dataset(dataset)
-    preprocess_run(recording, run, dataset=dataset, dataset_format=recording.format)
+    preprocess_run(recording, run, dataset=dataset)
     settings = ["fusion.voxel_size_m=0.06", "fusion.min_observations=1", "field.iterations=2"]
     settings += ["uncertainty.steps_per_pass=50", "photometric.enabled=false"]
     map_run(run, method_spec("uncle").configure(settings, sensors=("sl", "sgm"), device="cpu"))

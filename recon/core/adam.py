@@ -56,6 +56,7 @@ class Adam:
         return {place: dict(vars(moments)) for place, moments in self.moments.items()}
 
     def load_state_dict(self, state: dict[int, dict[str, Any]]) -> None:
+        """Continue from the moments that `state_dict` of an optimiser of equal parameters returned."""
         for place, past in state.items():
             first, second = (past[name].to(self.parameters[place].device) for name in ("first", "second"))
             self.moments[place] = Moments(first, second, past["steps"])

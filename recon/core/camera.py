@@ -107,6 +107,7 @@ class Camera:
         return (u >= 0) & (u < self.width) & (v >= 0) & (v < self.height)
 
     def to_dict(self) -> dict[str, float]:
+        """The fields by name, pixels, as a manifest holds them."""
         return {key: getattr(self, key) for key in ("width", "height", "fx", "fy", "cx", "cy")}
 
 

@@ -56,13 +56,17 @@ class Recording(Protocol):
 
     def __getitem__(self, index: int) -> Frame: ...
 
-    def timestamp(self, index: int) -> float: ...
+    def timestamp(self, index: int) -> float:
+        """Seconds; the frame number where `has_timestamps` is False."""
 
-    def pose(self, index: int) -> np.ndarray | None: ...
+    def pose(self, index: int) -> np.ndarray | None:
+        """(4, 4) T_world_camera, or None where it is unknown."""
 
-    def color(self, index: int) -> Tensor: ...
+    def color(self, index: int) -> Tensor:
+        """(H, W, 3) uint8 RGB. Raises FrameError."""
 
-    def depth(self, index: int, sensor: str) -> Tensor: ...
+    def depth(self, index: int, sensor: str) -> Tensor:
+        """(H, W) float32 metres, 0 = no measurement. Raises FrameError."""
 
 
 GROUND_TRUTH_SENSOR = "gt"

@@ -42,6 +42,7 @@ class Section:
 
     @property
     def anchor(self) -> str:
+        """The title as a name that links can point to."""
         return "".join(letter if letter.isalnum() else "-" for letter in self.title.lower())
 
 

@@ -68,6 +68,7 @@ class ViewSettings:
 
     @property
     def parameters(self) -> NewViewParameters:
+        """Those of the protocol."""
         return NEW_VIEW_PARAMETERS[self.protocol]
 
 

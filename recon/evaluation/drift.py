@@ -13,7 +13,9 @@ SEGMENT_M = 1.0
 
 @dataclass(frozen=True)
 class Drift:
-    """path_m                      length of the true path through the matched poses
+    """Growth of the position error along the true path.
+
+    path_m                      length of the true path through the matched poses
     growth_ratio                slope of the line fitted to the unaligned position errors over the path length
     growth_m_per_s              the same over time; None without a clock
     segment_m, segments         length of a segment of the path, and number of poses at which one starts

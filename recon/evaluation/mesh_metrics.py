@@ -5,7 +5,7 @@ The two protocols are described in docs/evaluation.md.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Literal
 
@@ -23,7 +23,9 @@ PointFilter = Callable[[np.ndarray], np.ndarray]  # (N, 3) points, metres -> (N,
 
 @dataclass(frozen=True)
 class MeshScoringParameters:
-    """icp_distance_m   largest distance between corresponding points in ICP
+    """Distances that decide scores of a mesh, metres.
+
+    icp_distance_m   largest distance between corresponding points in ICP
     seen_distance_m  a reference vertex counts as seen within this distance of a seen point; those are one in each
                      1.5 cm voxel
     """
@@ -43,6 +45,31 @@ class ThresholdScore:
     precision: float
     recall: float
     f_score: float
+
+
+@dataclass(frozen=True)
+class MeshScoringOptions:
+    """What a caller can choose.
+
+    thresholds_m     distances below which a point counts as correct
+    samples          points drawn on each mesh; only with the protocol "standard"
+    seed             of the samples
+    icp              whether the mesh is aligned by ICP first; None: as the protocol has it
+    protocol         "standard": area-uniform samples; accuracy is measured to the reference surface; no ICP.
+                     "paper": vertices against a sampled cloud of the other mesh; with ICP (`paper_distances`)
+    completeness_to  "samples": completeness is measured to the samples of the mesh (the usual definition);
+                     "surface": to its triangles; only with the protocol "standard"
+    """
+
+    thresholds_m: tuple[float, ...] = (0.05, 0.02)
+    samples: int = 250_000
+    seed: int = 0
+    icp: bool | None = None
+    protocol: ScoringProtocol = "standard"
+    completeness_to: CompletenessTarget = "samples"
+
+
+DEFAULT_OPTIONS = MeshScoringOptions()
 
 
 @dataclass(frozen=True)
@@ -84,46 +111,38 @@ class MeshMetrics:
 def evaluate_mesh(
     mesh: Mesh,
     reference: Mesh,
+    options: MeshScoringOptions = DEFAULT_OPTIONS,
     *,
-    thresholds_m: Sequence[float] = (0.05, 0.02),
-    samples: int = 250_000,
-    seed: int = 0,
-    icp: bool | None = None,
-    protocol: ScoringProtocol = "standard",
-    completeness_to: CompletenessTarget = "samples",
     visible: PointFilter | None = None,
     seen_reference: np.ndarray | None = None,
     parameters: MeshScoringParameters = DEFAULT_PARAMETERS,
 ) -> MeshMetrics:
     """Score `mesh` against `reference`, both in metres in the same frame.
 
-    protocol        "standard": area-uniform samples; accuracy is measured to the reference surface; no ICP.
-                    "paper": vertices against a sampled cloud of the other mesh; with ICP (`paper_distances`)
-    icp             overrides the default of the protocol
-    completeness_to "samples": completeness is measured to the samples of the mesh (the usual definition);
-                    "surface": to its triangles; only with the protocol "standard"
     visible         keeps the predicted points that a camera could see; the others are not scored
     seen_reference  (M, 3) points of the reference that a camera saw; the others are not scored
 
     An empty mesh, or one without visible points, scores 0 with an explanation in `note`. Raises DataError if no point
     of the reference is left or a vertex is not finite; ValueError for thresholds or samples that are not positive.
     """
-    _check_settings(thresholds_m, samples)
-    with_icp = protocol == "paper" if icp is None else icp
+    _check_options(options)
+    with_icp = options.protocol == "paper" if options.icp is None else options.icp
     T = align_by_icp(mesh, reference, parameters.icp_distance_m) if with_icp and len(mesh.faces) else np.eye(4)
     aligned = transformed(mesh, T) if with_icp else mesh
-    if protocol == "paper":
-        accuracy, completeness = paper_distances(aligned, reference, seed, visible, seen_reference, parameters)
-        settings = MeshScoringSettings(protocol, "samples", None, seed, with_icp, visible is not None)
+    if options.protocol == "paper":
+        accuracy, completeness = paper_distances(aligned, reference, options.seed, visible, seen_reference, parameters)
+        settings = MeshScoringSettings("paper", "samples", None, options.seed, with_icp, visible is not None)
     else:
         accuracy, completeness = standard_distances(
-            aligned, reference, samples, seed, completeness_to, visible, seen_reference
+            aligned, reference, options.samples, options.seed, options.completeness_to, visible, seen_reference
         )
-        settings = MeshScoringSettings(protocol, completeness_to, samples, seed, with_icp, visible is not None)
+        settings = MeshScoringSettings(
+            "standard", options.completeness_to, options.samples, options.seed, with_icp, visible is not None
+        )
     if len(completeness) == 0:
         raise DataError("no part of the reference mesh can be scored: it has no area, or the cameras saw none of it")
     return MeshMetrics(
-        tuple(score_at(threshold, accuracy, completeness) for threshold in thresholds_m),
+        tuple(score_at(threshold, accuracy, completeness) for threshold in options.thresholds_m),
         *_mean_and_median(accuracy),
         *_mean_and_median(completeness),
         len(accuracy),
@@ -235,8 +254,8 @@ def _mean_and_median(distance: np.ndarray) -> tuple[float | None, float | None]:
     return float(distance.mean(dtype=np.float64)), float(np.median(distance))
 
 
-def _check_settings(thresholds_m: Sequence[float], samples: int) -> None:
-    if not thresholds_m or min(thresholds_m) <= 0:
+def _check_options(options: MeshScoringOptions) -> None:
+    if not options.thresholds_m or min(options.thresholds_m) <= 0:
         raise ValueError("thresholds_m must be positive and not empty")
-    if samples < 1:
+    if options.samples < 1:
         raise ValueError("samples must be at least 1")

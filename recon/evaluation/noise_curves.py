@@ -13,7 +13,9 @@ from .sensor_frames import read_sensor_frame, spread_frames
 
 @dataclass(frozen=True)
 class NoiseCurveParameters:
-    """frames            number of frames that are sampled, evenly spread
+    """Which measurements the noise curves are made of.
+
+    frames            number of frames that are sampled, evenly spread
     stride            pixels between the samples of a frame
     bins              bins of depth and of incidence angle
     min_measurements  samples that a bin needs

@@ -13,7 +13,9 @@ from .uncertainty_calibration import UncertaintyMetrics
 
 @dataclass(frozen=True)
 class SensorSummaryParameters:
-    """distances_m       distances at which the median beta is given
+    """Which measurements the median betas of a sensor are made of.
+
+    distances_m       distances at which the median beta is given
     tolerance_ratio   samples within this ratio of a distance count for it
     min_measurements  samples that a distance needs
     """

@@ -12,14 +12,7 @@ import numpy as np
 from ..core.errors import DataError, UncleError
 from ..core.mesh import Mesh
 from .depth_metrics import NEW_VIEW_PARAMETERS, NovelViewDepth, ViewSettings, novel_view_depth
-from .mesh_metrics import (
-    CompletenessTarget,
-    MeshMetrics,
-    ScoringProtocol,
-    color_by_distance,
-    evaluate_mesh,
-    transformed,
-)
+from .mesh_metrics import MeshMetrics, MeshScoringOptions, color_by_distance, evaluate_mesh, transformed
 from .vertex_sigma_metrics import VertexSigmaMetrics, evaluate_vertex_sigma
 from .visibility import Visibility
 
@@ -27,23 +20,17 @@ T = TypeVar("T")
 
 
 @dataclass(frozen=True)
-class EvaluationSettings:
+class EvaluationSettings(MeshScoringOptions):
     """What a user can choose; the defaults are those of `uncle eval`.
 
-    icp     None: as the protocol has it
     views   new views for the depth error; None: as many as the protocol has, 0: none
     """
 
-    thresholds_m: tuple[float, ...] = (0.05, 0.02)
-    samples: int = 250_000
-    seed: int = 0
-    icp: bool | None = None
-    protocol: ScoringProtocol = "standard"
-    completeness_to: CompletenessTarget = "samples"
     views: int | None = None
 
     @property
     def view_settings(self) -> ViewSettings:
+        """Number, protocol and seed of the new views."""
         default = NEW_VIEW_PARAMETERS[self.protocol].default_views
         return ViewSettings(default if self.views is None else self.views, self.protocol, self.seed)
 
@@ -67,18 +54,7 @@ def score_surface(
     """Score `mesh` against `reference`; with `cull` only what the cameras saw. Raises DataError."""
     visible = cull.is_visible if cull is not None else None
     seen_reference = cull.reference_points(reference) if cull is not None else None
-    metrics = evaluate_mesh(
-        mesh,
-        reference,
-        thresholds_m=settings.thresholds_m,
-        samples=settings.samples,
-        seed=settings.seed,
-        icp=settings.icp,
-        protocol=settings.protocol,
-        completeness_to=settings.completeness_to,
-        visible=visible,
-        seen_reference=seen_reference,
-    )
+    metrics = evaluate_mesh(mesh, reference, settings, visible=visible, seen_reference=seen_reference)
     skipped: dict[str, str] = {}
     aligned = aligned_as_scored(mesh, metrics)
     novel_views = None

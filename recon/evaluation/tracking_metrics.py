@@ -46,7 +46,9 @@ class Consistency:
 
 @dataclass(frozen=True)
 class TrackingMetrics:
-    """since_start     consistency of the motion from the first matched pose to each later one
+    """Statuses of the tracked frames, and consistency of their covariances.
+
+    since_start     consistency of the motion from the first matched pose to each later one
     between_frames  consistency of the motion between neighbouring poses, whose errors are assumed independent
     lost_ranges     first and last index of each range of lost frames
 

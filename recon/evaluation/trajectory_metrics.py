@@ -16,7 +16,9 @@ from .drift import Drift, measure_drift, motion_errors
 
 @dataclass(frozen=True)
 class TrajectoryParameters:
-    """max_difference_s  largest difference of the time stamps of matched poses
+    """How poses are matched and over what distances errors are measured.
+
+    max_difference_s  largest difference of the time stamps of matched poses
     rpe_delta_frames  matched poses over which the relative pose error (RPE) is measured
     rpe_seconds       time over which it is measured as well
     segment_m         length of the path segments over which drift is measured
@@ -96,7 +98,9 @@ class MatchedPoses:
 
 @dataclass(frozen=True)
 class TrajectoryMetrics:
-    """ate_m          distances between true and estimated camera centres, unaligned
+    """Errors of an estimated trajectory: absolute (ATE), relative (RPE) and drift.
+
+    ate_m          distances between true and estimated camera centres, unaligned
     ate_aligned_m  the same after the best rigid motion (no scale) of the whole estimate
     rpe_*          errors of the motion over `rpe_delta_frames` matched poses; None if there are no more than that
     rpe_second_*   the same over one second; None without a clock, or if no two poses are a second apart

@@ -17,7 +17,9 @@ COVERAGES = (0.5, 0.9)
 
 @dataclass(frozen=True)
 class CalibrationParameters:
-    """max_measurements  measurements that are scored; more are thinned at random
+    """Sizes of the samples and histograms of the calibration.
+
+    max_measurements  measurements that are scored; more are thinned at random
     bins              bins of the reliability curve and points of the sparsification curves
     depth_bins        bins of the reference model that predicts beta from the depth alone
     """

@@ -19,7 +19,9 @@ from ..run.frames import RunFrames
 
 @dataclass(frozen=True)
 class VisibilityParameters:
-    """max_behind_m        a point counts as visible up to this far behind the depth measurement of its pixel
+    """What counts as seen by a camera, and how many frames and pixels are used.
+
+    max_behind_m        a point counts as visible up to this far behind the depth measurement of its pixel
     all_frames_below    runs with fewer posed frames use all of them; longer ones every second frame at most, because
                         neighbours see the same
     max_frames          frames that are used, evenly spread; more change the scores by less than the sampling does
@@ -54,6 +56,7 @@ class Visibility:
 
     @property
     def has_true_depth(self) -> bool:
+        """Whether visibility is decided by ground-truth depth."""
         return self.sensors == (GROUND_TRUTH_SENSOR,)
 
     @staticmethod

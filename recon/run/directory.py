@@ -24,78 +24,98 @@ class RunDirectory:
     # --- paths -------------------------------------------------------------------------------------------------
     @property
     def manifest_path(self) -> Path:
+        """Facts of the run and of its finished stages."""
         return self.root / "manifest.json"
 
     @property
     def frames_path(self) -> Path:
+        """Source, time, pose and images of each frame."""
         return self.root / "frames" / "frames.json"
 
     @property
     def config_path(self) -> Path:
+        """All settings of the map."""
         return self.root / "config.toml"
 
     @property
     def trajectory_path(self) -> Path:
+        """Estimated poses, in the TUM format."""
         return self.root / "trajectory.txt"
 
     @property
     def reference_trajectory_path(self) -> Path:
+        """Poses of the data set, in the TUM format; missing where it has none."""
         return self.root / "trajectory_gt.txt"
 
     @property
     def tracking_path(self) -> Path:
+        """Status and covariance of each tracked frame; missing where poses were given."""
         return self.root / "tracking.json"
 
     @property
     def sensors_path(self) -> Path:
+        """Faults of each sensor."""
         return self.root / "sensors.json"
 
     @property
     def field_path(self) -> Path:
+        """The finished map."""
         return self.root / "map" / "field.pt"
 
     @property
     def noise_model_path(self) -> Path:
+        """Noise models of the mapped sensors."""
         return self.root / "map" / "noise_model.pt"
 
     @property
     def method_state_path(self) -> Path:
+        """What a method keeps beside the map."""
         return self.root / "map" / "method_state.pt"
 
     @property
     def checkpoint_path(self) -> Path:
+        """State of an interrupted map."""
         return self.root / "map" / "checkpoint.pt"
 
     @property
     def curves_path(self) -> Path:
+        """Losses of the training, by step."""
         return self.root / "map" / "curves.json"
 
     @property
     def mesh_path(self) -> Path:
+        """Coloured mesh with a sigma per vertex."""
         return self.root / "mesh.ply"
 
     @property
     def metrics_path(self) -> Path:
+        """All scores."""
         return self.root / "metrics.json"
 
     @property
     def snapshots_path(self) -> Path:
+        """Folder of the pictures."""
         return self.root / "snapshots"
 
     @property
     def report_path(self) -> Path:
+        """The report."""
         return self.root / "report.html"
 
     def color_path(self, name: str) -> Path:
+        """Colour image by the name that its frame record has."""
         return self.root / "frames" / "color" / name
 
     def depth_path(self, sensor: str, index: int) -> Path:
+        """Depth image, 16-bit PNG."""
         return self.root / "frames" / "depth" / sensor / f"{index:06d}.png"
 
     def normal_path(self, sensor: str, index: int) -> Path:
+        """Image of the normals (`frames.encode_normals`)."""
         return self.root / "frames" / "normals" / sensor / f"{index:06d}.png"
 
     def beta_path(self, sensor: str, index: int) -> Path:
+        """Image of the Laplace scale, 16-bit PNG."""
         return self.root / "beta" / sensor / f"{index:06d}.png"
 
     # --- manifest ----------------------------------------------------------------------------------------------

@@ -46,6 +46,7 @@ class RunFrames:
 
     @property
     def has_poses(self) -> bool:
+        """Whether every frame has a pose."""
         return all(record.T_world_camera is not None for record in self.records)
 
     def pose(self, index: int) -> np.ndarray | None:

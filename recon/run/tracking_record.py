@@ -55,8 +55,9 @@ class TrackingRecord(BaseModel):
             known = spread.get(frame.index, known)
             if frame.covariance is not None:
                 whole = known if frame.index in spread else known + frame.covariance
-                frame = frame.model_copy(update={"covariance": whole.tolist()})
-            placed.append(frame)
+                placed.append(frame.model_copy(update={"covariance": whole.tolist()}))
+            else:
+                placed.append(frame)
         return TrackingRecord(frames=tuple(placed))
 
     @staticmethod

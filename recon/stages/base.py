@@ -7,7 +7,9 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True, kw_only=True)
 class StageSummary:
-    """unchanged   the earlier result was kept, because it was made with the same settings
+    """What every stage returns.
+
+    unchanged   the earlier result was kept, because it was made with the same settings
     seconds     wall time of the stage; 0 where it kept an earlier result
     """
 

@@ -48,17 +48,17 @@ def preprocess_run(
     run: RunDirectory,
     *,
     dataset: Path,
-    dataset_format: str,
     frames: slice | None = None,
     sensors: Sequence[str] | None = None,
     lossless: bool = False,
     overwrite: bool = False,
     on_event: OnEvent = ignore,
 ) -> PreprocessSummary:
-    """Convert `recording` into the frames of `run`; earlier frames are replaced only when the new ones are complete.
+    """Convert `recording`, read from the folder `dataset`, into the frames of `run`.
 
-    A frame without readable colour or without any readable depth is skipped, an unreadable depth image is left out;
-    both are reported and listed in the manifest. Stages made from earlier frames are marked as not done.
+    Earlier frames are replaced only when the new ones are complete. A frame without readable colour or without any
+    readable depth is skipped, an unreadable depth image is left out; both are reported and listed in the manifest.
+    Stages made from earlier frames are marked as not done.
 
     Raises DataError if a sensor is unknown or has no depth in any frame, or if no frame is usable; RunError if the run
     cannot be written.
@@ -67,7 +67,7 @@ def preprocess_run(
     indices = range(len(recording))[frames or slice(None)]
     if not indices:
         raise DataError(f"--frames selects none of the {len(recording)} frames of {dataset}")
-    settings = config_hash(dataset_hash(dataset, run.root), dataset_format, [*indices], chosen, lossless)
+    settings = config_hash(dataset_hash(dataset, run.root), recording.format, [*indices], chosen, lossless)
     earlier = _earlier_manifest(run, dataset)
     if not overwrite and earlier and STAGE in earlier.stages and earlier.stages[STAGE].config_hash == settings:
         return _unchanged(run, earlier, on_event)
@@ -82,7 +82,7 @@ def preprocess_run(
         records = _renumbered(results, staging)
         _require_usable(records, results, chosen, dataset)
         write_text(staging.frames_path, json.dumps([record.model_dump(mode="json") for record in records], indent=1))
-        manifest = _manifest(recording, dataset, dataset_format, chosen, results)
+        manifest = _manifest(recording, dataset, chosen, results)
         if stale := [stage for stage in (earlier.stages if earlier else ()) if stage != STAGE]:
             on_event(Warn(f"these stages were made from the earlier frames; run them again: {', '.join(stale)}"))
         _publish(run, staging, manifest, records)
@@ -234,11 +234,11 @@ def _require_usable(
 
 
 def _manifest(
-    recording: Recording, dataset: Path, dataset_format: str, sensors: tuple[str, ...], results: Sequence[FrameResult]
+    recording: Recording, dataset: Path, sensors: tuple[str, ...], results: Sequence[FrameResult]
 ) -> Manifest:
     return Manifest(
         dataset=str(dataset.resolve()),
-        dataset_format=dataset_format,
+        dataset_format=recording.format,
         name=recording.name,
         camera=recording.camera.to_dict(),
         sensors=sensors,

@@ -18,7 +18,9 @@ from ..visualization.views import DEFAULT_SIZE
 
 @dataclass(frozen=True)
 class SnapshotSettings:
-    """modes     pictures to draw (`mesh_pictures.MODES`); None: all that the mesh has data for
+    """What to draw, and how.
+
+    modes     pictures to draw (`mesh_pictures.MODES`); None: all that the mesh has data for
     size      width and height of one picture, pixels
     renderer  "offscreen" (Open3D, needs a driver), "raycast" (CPU), or "auto": the first that works
     """

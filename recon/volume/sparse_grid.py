@@ -37,6 +37,7 @@ class SparseGrid:
 
     @property
     def block_size_m(self) -> float:
+        """Side of a block, metres."""
         return BLOCK * self.voxel_size_m
 
     def allocate(self, blocks: Tensor) -> int:

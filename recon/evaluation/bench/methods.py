@@ -14,13 +14,16 @@ class MethodFacts(Protocol):
     """The part of `recon.methods.spec.MethodSpec` that the benchmark reads."""
 
     @property
-    def is_deterministic(self) -> bool: ...
+    def is_deterministic(self) -> bool:
+        """Whether all seeds give the same map where poses are given."""
 
     @property
-    def bench_given_only(self) -> str: ...
+    def bench_given_only(self) -> str:
+        """Why the method is benchmarked with given poses alone; "" if it tracks as well."""
 
     @property
-    def bench_settings(self) -> Mapping[str, tuple[str, ...]]: ...
+    def bench_settings(self) -> Mapping[str, tuple[str, ...]]:
+        """Settings (KEY=VALUE) of the method by setting of the benchmark."""
 
 
 @dataclass(frozen=True)

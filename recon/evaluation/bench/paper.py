@@ -36,6 +36,7 @@ class Bench:
 
     @property
     def records_path(self) -> Path:
+        """File of all results, by key of their job."""
         return self.out / "runs.json"
 
     @property

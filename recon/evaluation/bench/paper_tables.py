@@ -24,6 +24,7 @@ Failures = dict[tuple[str, str, str, str], list[str]]  # data set, sensors, sett
 
 
 def group_of(record: Record) -> tuple[str, ...]:
+    """Data set, sensors, setting and method of `record`."""
     return tuple(record[name] for name in _NAMES)
 
 

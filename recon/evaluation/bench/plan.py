@@ -41,6 +41,7 @@ class Scene:
 
     @classmethod
     def of_run(cls, name: str, base: Path) -> Scene:
+        """The scene `name` of the preprocessed run `base`."""
         manifest = json.loads((base / "manifest.json").read_text())
         frames = json.loads((base / "frames" / "frames.json").read_text())
         return cls(
@@ -111,6 +112,7 @@ class Job(NamedTuple):
 
     @property
     def key(self) -> str:
+        """Name of the job in the file of results: everything but the settings of the variant."""
         names = [self.dataset, self.sensors, self.setting, self.method, self.variant, str(self.seed), self.timed_in]
         return "|".join(name for name in (*names, self.made_with) if name)
 

@@ -8,6 +8,7 @@ import platform
 import queue
 import statistics
 import time
+from collections import deque
 from collections.abc import Callable, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
 from pathlib import Path
@@ -25,7 +26,8 @@ class Job(Protocol):
     """One pass; passes with the same key are the same."""
 
     @property
-    def key(self) -> str: ...
+    def key(self) -> str:
+        """Name of the job in the file of results."""
 
 
 def load_records(path: Path) -> dict[str, Record]:
@@ -90,17 +92,15 @@ def _run_all(jobs: Sequence[Any], execute: Callable[[Any], Record], parallel: in
         began = time.perf_counter()
         return execute(job), time.perf_counter() - began
 
-    waiting, at_work = iter(jobs), {}
+    waiting = deque(jobs)
+    at_work: dict[Future[tuple[Record, float]], Any] = {}
     pool = ThreadPoolExecutor(parallel, initializer=settle)
     stop_all(False)
     try:
-        for job in waiting:
-            at_work[pool.submit(once, job)] = job
-            if len(at_work) < parallel:
-                continue
-            for future in wait(at_work, return_when=FIRST_COMPLETED).done:
-                take(at_work.pop(future), future)
-        while at_work:
+        while waiting or at_work:
+            while waiting and len(at_work) < parallel:
+                job = waiting.popleft()
+                at_work[pool.submit(once, job)] = job
             for future in wait(at_work, return_when=FIRST_COMPLETED).done:
                 take(at_work.pop(future), future)
     except BaseException:

@@ -23,11 +23,13 @@ class Table:
     notes: list[str] = field(default_factory=list)
 
     def markdown(self) -> str:
+        """Heading, rows and notes in Markdown."""
         lines = markdown_table(self.header, self.rows)
         notes = [f"- {_one_line(note)}" for note in self.notes]
         return "\n\n".join("\n".join(part) for part in ([f"## {self.title}"], lines, notes) if part)
 
     def html(self) -> str:
+        """Rows and notes in HTML, without the columns that are empty."""
         kept = filled_columns(self.header, self.rows)
         header, rows = [self.header[c] for c in kept], [[row[c] for c in kept] for row in self.rows]
         numbers = [place for place, column in enumerate(kept) if column >= self.names]
@@ -54,6 +56,7 @@ def filled_columns(header: Sequence[str], rows: Sequence[Sequence[str]]) -> list
 
 
 def number(value: float | None, factor: float, digits: int) -> str:
+    """`value` times `factor` with `digits` decimals; "-" if there is none."""
     return NOTHING if value is None else f"{value * factor:.{digits}f}"
 
 

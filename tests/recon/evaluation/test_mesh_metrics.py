@@ -8,6 +8,8 @@ from uncle.recon.core.errors import DataError
 from uncle.recon.core.mesh import Mesh
 from uncle.recon.core.mesh_raycaster import Surface, sample_surface
 from uncle.recon.evaluation.mesh_metrics import (
+    MeshMetrics,
+    MeshScoringOptions,
     align_by_icp,
     color_by_distance,
     evaluate_mesh,
@@ -28,6 +30,12 @@ def sphere(radius: float) -> Mesh:
     return as_mesh(o3d.geometry.TriangleMesh.create_sphere(radius, resolution=60))
 
 
+def score(mesh: Mesh, reference: Mesh, visible=None, seen_reference=None, **options) -> MeshMetrics:
+    """`evaluate_mesh` with `options` by name."""
+    scoring = MeshScoringOptions(**options)
+    return evaluate_mesh(mesh, reference, scoring, visible=visible, seen_reference=seen_reference)
+
+
 def plate(width: float) -> Mesh:
     """A `width` x 1 m rectangle in the plane z = 0."""
     corners = np.array([[0, 0, 0], [width, 0, 0], [width, 1, 0], [0, 1, 0]], dtype="float32")
@@ -35,9 +43,7 @@ def plate(width: float) -> Mesh:
 
 
 def test_concentric_spheres_are_their_radii_apart():
-    metrics = evaluate_mesh(
-        sphere(1.01), sphere(1.0), thresholds_m=(0.02, 0.005), samples=20_000, completeness_to="surface"
-    )
+    metrics = score(sphere(1.01), sphere(1.0), thresholds_m=(0.02, 0.005), samples=20_000, completeness_to="surface")
     assert metrics.accuracy_mean_m == pytest.approx(0.01, abs=5e-4)
     assert metrics.completeness_mean_m == pytest.approx(0.01, abs=5e-4)
     wide, narrow = metrics.scores
@@ -46,28 +52,28 @@ def test_concentric_spheres_are_their_radii_apart():
 
 
 def test_half_missing_mesh_loses_recall_only():
-    score = evaluate_mesh(plate(1.0), plate(2.0), thresholds_m=(0.05,), samples=50_000).scores[0]
-    assert score.precision == 1.0
-    assert score.recall == pytest.approx((1.0 + 0.05) / 2.0, abs=0.01)  # the missing half is near for 5 cm
-    assert score.f_score == pytest.approx(2 * score.recall / (1 + score.recall))
+    result = score(plate(1.0), plate(2.0), thresholds_m=(0.05,), samples=50_000).scores[0]
+    assert result.precision == 1.0
+    assert result.recall == pytest.approx((1.0 + 0.05) / 2.0, abs=0.01)  # the missing half is near for 5 cm
+    assert result.f_score == pytest.approx(2 * result.recall / (1 + result.recall))
 
 
 def test_superfluous_half_loses_precision_only():
-    score = evaluate_mesh(plate(2.0), plate(1.0), thresholds_m=(0.05,), samples=50_000).scores[0]
-    assert score.recall == 1.0
-    assert score.precision == pytest.approx((1.0 + 0.05) / 2.0, abs=0.01)
+    result = score(plate(2.0), plate(1.0), thresholds_m=(0.05,), samples=50_000).scores[0]
+    assert result.recall == 1.0
+    assert result.precision == pytest.approx((1.0 + 0.05) / 2.0, abs=0.01)
 
 
 def test_recall_to_sparse_samples_suffers_and_to_the_surface_does_not():
     sparse = {"thresholds_m": (0.02,), "samples": 500}
-    assert evaluate_mesh(plate(1.0), plate(1.0), **sparse).scores[0].recall < 0.8
-    assert evaluate_mesh(plate(1.0), plate(1.0), completeness_to="surface", **sparse).scores[0].recall == 1.0
+    assert score(plate(1.0), plate(1.0), **sparse).scores[0].recall < 0.8
+    assert score(plate(1.0), plate(1.0), completeness_to="surface", **sparse).scores[0].recall == 1.0
 
 
 def test_agrees_with_open3d_compute_metrics():
     mesh, reference = sphere(1.0), as_mesh(o3d.geometry.TriangleMesh.create_box(1.5, 1.5, 1.5))
     reference = transformed(reference, np.array([[1, 0, 0, -0.75], [0, 1, 0, -0.75], [0, 0, 1, -0.75], [0, 0, 0, 1.0]]))
-    ours = evaluate_mesh(mesh, reference, thresholds_m=(0.2,), samples=100_000, completeness_to="surface")
+    ours = score(mesh, reference, thresholds_m=(0.2,), samples=100_000, completeness_to="surface")
     tensors = [
         o3d.t.geometry.TriangleMesh(o3d.core.Tensor(m.vertices), o3d.core.Tensor(m.faces)) for m in (mesh, reference)
     ]
@@ -98,7 +104,7 @@ def test_samples_are_uniform_over_area_and_repeatable():
 
 
 def test_same_seed_same_scores_and_another_seed_others():
-    runs = [evaluate_mesh(sphere(1.01), sphere(1.0), samples=2000, seed=seed) for seed in (1, 1, 2)]
+    runs = [score(sphere(1.01), sphere(1.0), samples=2000, seed=seed) for seed in (1, 1, 2)]
     assert runs[0] == runs[1]
     assert runs[0].completeness_mean_m != runs[2].completeness_mean_m
 
@@ -107,8 +113,8 @@ def test_icp_undoes_a_small_motion_and_reports_it():
     reference = as_mesh(o3d.geometry.TriangleMesh.create_box(1, 2, 3).subdivide_midpoint(4))
     shift = np.eye(4)
     shift[:3, 3] = [0.03, -0.02, 0.01]
-    plain = evaluate_mesh(transformed(reference, shift), reference, samples=5000, completeness_to="surface")
-    aligned = evaluate_mesh(transformed(reference, shift), reference, samples=5000, completeness_to="surface", icp=True)
+    plain = score(transformed(reference, shift), reference, samples=5000, completeness_to="surface")
+    aligned = score(transformed(reference, shift), reference, samples=5000, completeness_to="surface", icp=True)
     assert plain.accuracy_mean_m > 0.01
     assert aligned.accuracy_mean_m < 1e-3
     assert aligned.settings.icp
@@ -122,13 +128,13 @@ def test_paper_protocol_scores_vertices_and_aligns():
     far = transformed(dense_far, np.array([[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 1.0], [0, 0, 0, 1]]))
     near = plate(1.0)
     both = Mesh(np.vstack([near.vertices, far.vertices]), np.vstack([near.faces, far.faces + 4]).astype("int32"))
-    paper = evaluate_mesh(both, plate(1.0), thresholds_m=(0.05,), protocol="paper", icp=False)
+    paper = score(both, plate(1.0), thresholds_m=(0.05,), protocol="paper", icp=False)
     assert paper.scores[0].precision == pytest.approx(4 / len(both.vertices))
     assert paper.scores[0].recall == 1.0
     assert paper.predicted_points == len(both.vertices)
     assert paper.settings.samples is None
-    assert evaluate_mesh(near, plate(1.0), protocol="paper").settings.icp
-    standard = evaluate_mesh(both, plate(1.0), thresholds_m=(0.05,), samples=20_000)
+    assert score(near, plate(1.0), protocol="paper").settings.icp
+    standard = score(both, plate(1.0), thresholds_m=(0.05,), samples=20_000)
     assert standard.scores[0].precision == pytest.approx(1 / 3, abs=0.02)
 
 
@@ -137,19 +143,19 @@ def test_culling_keeps_what_was_seen_on_both_sides():
         "visible": lambda p: p[:, 0] < 1.0,
         "seen_reference": np.stack(np.meshgrid(np.linspace(0, 1, 41), np.linspace(0, 1, 41), [0.0]), -1).reshape(-1, 3),
     }
-    score = evaluate_mesh(plate(1.0), plate(2.0), thresholds_m=(0.05,), samples=20_000, **left)
-    assert score.scores[0].recall == 1.0
-    assert score.settings.culled
-    assert score.reference_points == 41 * 41
-    assert evaluate_mesh(plate(2.0), plate(1.0), samples=20_000, **left).scores[0].precision == 1.0
-    paper = evaluate_mesh(plate(1.0), plate(2.0), protocol="paper", icp=False, **left)
+    result = score(plate(1.0), plate(2.0), thresholds_m=(0.05,), samples=20_000, **left)
+    assert result.scores[0].recall == 1.0
+    assert result.settings.culled
+    assert result.reference_points == 41 * 41
+    assert score(plate(2.0), plate(1.0), samples=20_000, **left).scores[0].precision == 1.0
+    paper = score(plate(1.0), plate(2.0), protocol="paper", icp=False, **left)
     assert paper.reference_points == 2  # the two vertices at x = 0; those at x = 2 were not seen
 
 
 @pytest.mark.parametrize("protocol", ["standard", "paper"])
 @pytest.mark.parametrize("completeness_to", ["samples", "surface"])
 def test_empty_mesh_scores_zero_and_says_so(protocol, completeness_to):
-    metrics = evaluate_mesh(EMPTY, plate(1.0), samples=100, protocol=protocol, completeness_to=completeness_to)
+    metrics = score(EMPTY, plate(1.0), samples=100, protocol=protocol, completeness_to=completeness_to)
     assert [s.f_score for s in metrics.scores] == [0.0, 0.0]
     assert [s.recall for s in metrics.scores] == [0.0, 0.0]
     assert metrics.accuracy_mean_m is None
@@ -158,7 +164,7 @@ def test_empty_mesh_scores_zero_and_says_so(protocol, completeness_to):
 
 
 def test_mesh_outside_of_every_view_scores_zero():
-    metrics = evaluate_mesh(
+    metrics = score(
         plate(1.0), plate(1.0), samples=100, visible=lambda p: np.zeros(len(p), bool), seen_reference=np.ones((4, 3))
     )
     assert metrics.scores[0].precision == 0.0
@@ -167,19 +173,19 @@ def test_mesh_outside_of_every_view_scores_zero():
 
 def test_empty_reference_and_broken_vertices_are_errors():
     with pytest.raises(DataError, match="reference"):
-        evaluate_mesh(plate(1.0), EMPTY, samples=100)
+        score(plate(1.0), EMPTY, samples=100)
     broken = Mesh(
         np.array([[0, 0, 0], [1, 0, 0], [0, float("nan"), 0]], dtype="float32"), np.array([[0, 1, 2]], dtype="int32")
     )
     with pytest.raises(DataError, match="not finite"):
-        evaluate_mesh(broken, plate(1.0), samples=100)
+        score(broken, plate(1.0), samples=100)
 
 
 def test_settings_out_of_range_are_refused():
     with pytest.raises(ValueError, match="thresholds"):
-        evaluate_mesh(plate(1.0), plate(1.0), thresholds_m=(0.0,))
+        score(plate(1.0), plate(1.0), thresholds_m=(0.0,))
     with pytest.raises(ValueError, match="samples"):
-        evaluate_mesh(plate(1.0), plate(1.0), samples=0)
+        score(plate(1.0), plate(1.0), samples=0)
 
 
 def test_score_counts_distances_below_the_threshold():

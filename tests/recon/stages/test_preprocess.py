@@ -35,6 +35,7 @@ class MemoryRecording:
     empty: set[tuple[int, str]] = field(default_factory=set)
     bad_poses: set[int] = field(default_factory=set)
     name: str = "memory"
+    format: str = "memory"
     camera: Camera = CAMERA
     has_poses: bool = True
     has_timestamps: bool = True
@@ -92,9 +93,7 @@ def convert(run, dataset):
 
     def call(recording, **options):
         events = []
-        summary = preprocess.preprocess_run(
-            recording, run, dataset=dataset, dataset_format="memory", on_event=events.append, **options
-        )
+        summary = preprocess.preprocess_run(recording, run, dataset=dataset, on_event=events.append, **options)
         return summary, events
 
     return call
@@ -205,8 +204,8 @@ def test_a_changed_file_of_the_data_set_is_a_change(convert, dataset):
 
 def test_a_run_inside_the_data_set_is_no_change_of_it(dataset):
     run = RunDirectory(dataset / "run")
-    first = preprocess.preprocess_run(MemoryRecording(), run, dataset=dataset, dataset_format="memory")
-    second = preprocess.preprocess_run(MemoryRecording(), run, dataset=dataset, dataset_format="memory")
+    first = preprocess.preprocess_run(MemoryRecording(), run, dataset=dataset)
+    second = preprocess.preprocess_run(MemoryRecording(), run, dataset=dataset)
     assert (first.unchanged, second.unchanged) == (False, True)
 
 
@@ -298,7 +297,7 @@ def test_folders_of_others_are_not_touched(run, convert, dataset):
         convert(MemoryRecording())
     assert (run.frames_path.parent / "precious").exists()
     with pytest.raises(RunError, match="data set itself"):
-        preprocess.preprocess_run(MemoryRecording(), RunDirectory(dataset), dataset=dataset, dataset_format="memory")
+        preprocess.preprocess_run(MemoryRecording(), RunDirectory(dataset), dataset=dataset)
 
 
 def test_poses_that_are_gone_take_their_trajectory_with_them(run, convert):
