@@ -151,13 +151,15 @@ def _map_given(
 ) -> None:  # fmt: skip
     """With given poses only the frames to be mapped are read."""
     stage, last = "mapping", len(indices) - 1
-    progress.poses = {index: frames.pose(index).tolist() for index in indices}  # a recording's poses stay what they are
+    progress.poses = {
+        index: frames.known_pose(index).tolist() for index in indices
+    }  # a recording's poses stay what they are
     due = sorted({*range(progress.next_mapped, len(indices), system.map_every), last} - set(range(progress.position)))
     chosen = [indices[position] for position in due]
     views = frames.stream(chosen, lambda frame: (frame, system.prepare(frame)))
     for position, (frame, prepared) in zip(due, views, strict=True):
         on_event(Progress(stage, position, len(indices)))
-        _map(system, frame, prepared, frames.pose(frame.index), position == last, progress)
+        _map(system, frame, prepared, frames.known_pose(frame.index), position == last, progress)
         progress.position, progress.next_mapped = position + 1, position + system.map_every
         _save_if(checkpoint.due(), checkpoint, system, progress)
     on_event(Progress(stage, len(indices), len(indices)))

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import numpy as np
 import torch
 
@@ -11,6 +13,9 @@ from ..core.events import OnEvent, Progress, ignore
 from ..run.frames import RunFrames
 from ..volume.neural_field import NeuralField
 from ..volume.sparse_grid import BLOCK, ROWS, SparseGrid
+
+if TYPE_CHECKING:
+    import open3d as o3d
 
 _RESOLUTION = 16  # samples along the side of an Open3D block
 _START_BLOCKS = 3000  # grows as needed; each takes 80 kB
@@ -62,7 +67,7 @@ def _corner_matrix(camera: Camera) -> np.ndarray:
     return matrix
 
 
-def _to_field(volume, config: MapConfig) -> NeuralField:
+def _to_field(volume: o3d.t.geometry.VoxelBlockGrid, config: MapConfig) -> NeuralField:
     """Open3D's blocks of 16^3 (x fastest, distances in truncations) as ours of 8^3 (z fastest, metres)."""
     table = volume.hashmap()
     active = table.active_buf_indices().numpy()

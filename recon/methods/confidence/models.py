@@ -13,7 +13,7 @@ from torch import Tensor
 
 from ...core.errors import ConfigError
 from ...core.tensor_files import FileFormat
-from .network import ConfidenceNetwork, confidence_image
+from .network import ConfidenceNetwork, channels_last, confidence_image
 
 FORMAT = FileFormat(
     "uncle confidence network", 1, "a file of `uncle pretrain confidence`", "make one with `uncle pretrain confidence`"
@@ -86,4 +86,4 @@ def _read(path: Path) -> tuple[str, ConfidenceNetwork]:
         network.load_state_dict({key: values.float() for key, values in state["weights"].items()})
     except (KeyError, AttributeError, RuntimeError) as error:
         raise FORMAT.error(str(path)) from error
-    return str(state.get("sensor")), network.to(memory_format=torch.channels_last).eval()
+    return str(state.get("sensor")), channels_last(network).eval()

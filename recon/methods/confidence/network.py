@@ -42,9 +42,15 @@ class ConfidenceNetwork(nn.Module):
             for layer in self.modules():
                 if isinstance(layer, nn.Conv2d):
                     bound = layer.weight[0].numel() ** -0.5
-                    layer.weight.uniform_(-bound, bound, generator=generator)
-                    layer.bias.uniform_(-bound, bound, generator=generator)
-            self.head[-2].bias.fill_(_START_BIAS)
+                    for values in layer.parameters():  # weight, bias
+                        values.uniform_(-bound, bound, generator=generator)
+            *_, last_bias = self.head.parameters()
+            last_bias.fill_(_START_BIAS)
+
+
+def channels_last(network: ConfidenceNetwork) -> ConfidenceNetwork:
+    """Move the weights to the memory format in which convolutions are fastest; returns the network."""
+    return network.to(memory_format=torch.channels_last)  # type: ignore[call-overload]  # not in its stubs
 
 
 @torch.no_grad()

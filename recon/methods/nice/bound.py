@@ -49,7 +49,7 @@ def bound_of_frames(
     parts, centres = [], []
     for position in chosen:
         index = indices[position]
-        T = frames.pose(index)
+        T = frames.known_pose(index)
         depths = [frames.depth(index, sensor) for sensor in frames.sensors]
         parts += [backproject(depth, frames.camera, T, max_depth_m, parameters.pixel_stride) for depth in depths]
         centres.append(T[:3, 3])

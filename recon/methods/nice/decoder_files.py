@@ -89,7 +89,7 @@ def _read(path: Path) -> dict[str, Any]:
 
 def _numpy_scalars() -> list[Any]:
     """Types of a pickled NumPy number, under the module names of NumPy 1 and 2."""
-    scalar = np._core.multiarray.scalar if hasattr(np, "_core") else np.core.multiarray.scalar
+    scalar = np.float64(0).__reduce__()[0]  # the function that a pickled number calls
     kinds = [type(np.dtype(kind)) for kind in (np.float32, np.float64, np.int64)]
     return [scalar, (scalar, "numpy.core.multiarray.scalar"), np.dtype, *kinds]
 

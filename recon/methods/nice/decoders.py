@@ -43,11 +43,11 @@ class Decoder(nn.Module):
     @torch.no_grad()
     def _initialise(self, generator: torch.Generator | None) -> None:
         self.embedding.normal_(0.0, EMBEDDING_SCALE, generator=generator)
-        for layer, gain in [*((layer, math.sqrt(2.0)) for layer in self.hidden), (self.output, 1.0)]:
+        for layer, gain in [*((layer, math.sqrt(2.0)) for layer in linear_layers(self.hidden)), (self.output, 1.0)]:
             nn.init.xavier_uniform_(layer.weight, gain, generator=generator)
             layer.bias.zero_()
         bound = 1.0 / math.sqrt(self.features)
-        for layer in self.injection:
+        for layer in linear_layers(self.injection):
             layer.weight.uniform_(-bound, bound, generator=generator)
             layer.bias.uniform_(-bound, bound, generator=generator)
 
@@ -60,6 +60,11 @@ class Decoder(nn.Module):
             if layer == SKIP_AFTER:
                 state = torch.cat([embedded, state], dim=-1)
         return self.output(state)
+
+
+def linear_layers(layers: nn.ModuleList) -> list[nn.Linear]:
+    """The linear layers among `layers`, in their order."""
+    return [layer for layer in layers if isinstance(layer, nn.Linear)]
 
 
 def middle_decoder(generator: torch.Generator | None = None) -> Decoder:

@@ -10,7 +10,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import partial
 from typing import Any
@@ -143,7 +143,8 @@ class FastEvaluate:
             residual, masks["fine"] = self.fine.values(points, features)
             logits = logits + residual
         logits = logits[:, 0].contiguous()
-        kernels.fill_outside(points.numpy(), *self.scene.bound.numpy(), np.float32(OUTSIDE_LOGIT), logits.numpy())
+        low, high = self.scene.bound.numpy()
+        kernels.fill_outside(points.numpy(), low, high, np.float32(OUTSIDE_LOGIT), logits.numpy())
         return logits, masks
 
     def colors(self, points: Tensor, decoder: FrozenDecoder, worker: int, samples: Tensor) -> tuple[Tensor, Tensor]:
@@ -260,7 +261,8 @@ class Gradients:
         """Sums in the order of the inputs; None where none is needed or there is none."""
         points = None if self.of_points is None else self.of_points.view(self.points.shape)
         tables = [self._table_sum(name) for name in GRIDS]
-        return [points, *tables, *(self.weights or [None] * (len(self.wanted) - 4))]
+        weights: Sequence[Tensor | None] = self.weights or [None] * (len(self.wanted) - 4)
+        return [points, *tables, *weights]
 
     def _table_sum(self, name: str) -> Tensor | None:
         by_worker = self.tables.get(name)

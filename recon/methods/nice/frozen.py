@@ -12,7 +12,7 @@ import torch
 from torch import Tensor
 
 from . import kernels
-from .decoders import CHANNELS, EMBEDDING, LAYERS, SKIP_AFTER, WIDTH, Decoder
+from .decoders import CHANNELS, EMBEDDING, LAYERS, SKIP_AFTER, WIDTH, Decoder, linear_layers
 
 SKIP = SKIP_AFTER + 1  # the layer that takes the embedding again
 
@@ -21,11 +21,12 @@ class FrozenDecoder:
     """A copy of `decoder`: gradients of its first 32 features, values of its first `outputs` outputs."""
 
     def __init__(self, decoder: Decoder, outputs: int = 1) -> None:
-        weights = [layer.weight.detach() for layer in decoder.hidden]
+        hidden, injection = linear_layers(decoder.hidden), linear_layers(decoder.injection)
+        weights = [layer.weight.detach() for layer in hidden]
         # u of V c + u is not added to a state but moved into the bias of the next layer
-        self.shifts = shifts = [layer.bias.detach() for layer in decoder.injection]
+        self.shifts = shifts = [layer.bias.detach() for layer in injection]
         weights[SKIP], skipped = weights[SKIP][:, EMBEDDING:].contiguous(), weights[SKIP][:, :EMBEDDING]
-        biases = [layer.bias.detach() for layer in decoder.hidden]
+        biases = [layer.bias.detach() for layer in hidden]
         self.biases = [biases[0], *(b + w @ u for b, w, u in zip(biases[1:], weights[1:], shifts, strict=False))]
         self.embedding = decoder.embedding.detach().contiguous()
         # (93, 64): weights from the embedding to the first layer and, by the skip, to the fourth
@@ -33,8 +34,8 @@ class FrozenDecoder:
         self.entry_bias = torch.cat([self.biases[0], self.biases[SKIP]])
         self.back = weights
         self.forth = [weight.T.contiguous() for weight in weights]
-        self.injections = [layer.weight.detach().T.contiguous() for layer in decoder.injection]
-        self.injections_back = [layer.weight.detach()[:, :CHANNELS].contiguous() for layer in decoder.injection]
+        self.injections = [layer.weight.detach().T.contiguous() for layer in injection]
+        self.injections_back = [layer.weight.detach()[:, :CHANNELS].contiguous() for layer in injection]
         self.output = decoder.output.weight.detach()[:outputs]
         self.output_bias = decoder.output.bias.detach()[:outputs] + self.output @ shifts[-1]
 
@@ -71,14 +72,13 @@ class FrozenDecoder:
         for layer, of_state, of_inner in self._backward(opened, of_values):
             of_features.addmm_(of_state, self.injections_back[layer])
             injected[:0] = [of_state.T @ features, of_state.sum(0)]
-            of_bias, of_weight = of_inner.sum(0), None
-            if layer:
-                of_weight = of_inner.T @ states[layer - 1] + of_bias[:, None] * self.shifts[layer - 1]
+            of_bias, of_weights = of_inner.sum(0), []  # of the embedding, if it is an input; of the state before
             if layer in (0, SKIP):
                 _half(of_entry, layer).copy_(of_inner)
-                of_skipped = of_inner.T @ embedded
-                of_weight = of_skipped if of_weight is None else torch.cat([of_skipped, of_weight], 1)
-            hidden[:0] = [of_weight, of_bias]
+                of_weights.append(of_inner.T @ embedded)
+            if layer:
+                of_weights.append(of_inner.T @ states[layer - 1] + of_bias[:, None] * self.shifts[layer - 1])
+            hidden[:0] = [torch.cat(of_weights, 1), of_bias]
         of_angles = self._of_angles(points, of_entry)
         of_bias = of_values.sum(0)
         of_output = of_values.T @ states[-1] + of_bias[:, None] * self.shifts[-1]

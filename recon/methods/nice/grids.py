@@ -40,7 +40,8 @@ class FeatureGrid:
     ) -> FeatureGrid:
         """A grid of N(0, std^2) over bound (2, 3) metres: round(length / voxel) vertices an axis, at least 2."""
         length = (bound[1] - bound[0]).double().cpu()
-        shape = tuple(max(2, round(float(size) / voxel_m)) for size in length)
+        x, y, z = (max(2, round(float(size) / voxel_m)) for size in length)
+        shape = (x, y, z)
         pitch = (length / (torch.tensor(shape) - 1)).float().to(device)
         table = torch.empty(math.prod(shape), CHANNELS).normal_(0.0, std, generator=generator)
         return FeatureGrid(bound[0].float().to(device), pitch, shape, table.to(device), std)

@@ -12,7 +12,9 @@ from .decoders import CHANNELS
 
 
 @njit(nogil=True, cache=True, inline="always")
-def _place(position, low, inverse_pitch, vertices):
+def _place(
+    position: np.float32, low: np.float32, inverse_pitch: np.float32, vertices: int
+) -> tuple[int, np.float32, np.float32]:
     """Cell and fraction of one coordinate, and its derivative (1; 0 beyond the border)."""
     place = (position - low) * inverse_pitch
     last = np.float32(vertices - 1)
@@ -26,7 +28,10 @@ def _place(position, low, inverse_pitch, vertices):
 
 
 @njit(nogil=True, cache=True, fastmath=True)
-def lookup(points, table, low, inverse_pitch, shape, features):
+def lookup(
+    points: np.ndarray, table: np.ndarray, low: np.ndarray, inverse_pitch: np.ndarray, shape: np.ndarray,
+    features: np.ndarray,
+) -> None:  # fmt: skip
     """Features (N, 32) at points (N, 3), written in place; table (V, 32), low, inverse_pitch and shape (3,)."""
     one = np.float32(1.0)
     step_x, step_y = shape[1] * shape[2], shape[2]
@@ -47,7 +52,10 @@ def lookup(points, table, low, inverse_pitch, shape, features):
 
 
 @njit(nogil=True, cache=True, fastmath=True)
-def scatter(points, gradient, low, inverse_pitch, shape, of_table):
+def scatter(
+    points: np.ndarray, gradient: np.ndarray, low: np.ndarray, inverse_pitch: np.ndarray, shape: np.ndarray,
+    of_table: np.ndarray,
+) -> None:  # fmt: skip
     """Add to the gradient of the table (V, 32), from that (N, 32) of the features."""
     one = np.float32(1.0)
     step_x, step_y = shape[1] * shape[2], shape[2]
@@ -66,7 +74,10 @@ def scatter(points, gradient, low, inverse_pitch, shape, of_table):
 
 
 @njit(nogil=True, cache=True, fastmath=True)
-def add_slopes(points, table, gradient, low, inverse_pitch, shape, of_points):
+def add_slopes(
+    points: np.ndarray, table: np.ndarray, gradient: np.ndarray, low: np.ndarray, inverse_pitch: np.ndarray,
+    shape: np.ndarray, of_points: np.ndarray,
+) -> None:  # fmt: skip
     """Add to the gradient of the points (N, 3), from that (N, 32) of the features."""
     one = np.float32(1.0)
     step_x, step_y = shape[1] * shape[2], shape[2]
@@ -96,7 +107,7 @@ def add_slopes(points, table, gradient, low, inverse_pitch, shape, of_points):
 
 
 @njit(nogil=True, cache=True)
-def fill_outside(points, low, high, value, values):
+def fill_outside(points: np.ndarray, low: np.ndarray, high: np.ndarray, value: np.float32, values: np.ndarray) -> None:
     """Set values (N,) of points (N, 3) outside of the box low, high (3,) to `value`."""
     for n in range(len(points)):
         for axis in range(3):
@@ -105,7 +116,7 @@ def fill_outside(points, low, high, value, values):
 
 
 @njit(nogil=True, cache=True)
-def rectify(values, opened):
+def rectify(values: np.ndarray, opened: np.ndarray) -> None:
     """ReLU of values (N,) in place; opened (N,) uint8: whether a value was positive."""
     zero = np.float32(0.0)
     for n in range(len(values)):
@@ -115,7 +126,7 @@ def rectify(values, opened):
 
 
 @njit(nogil=True, cache=True)
-def gate(values, opened, passed):
+def gate(values: np.ndarray, opened: np.ndarray, passed: np.ndarray) -> None:
     """passed (N,) = values (N,) where opened (N,) is 1, else 0."""
     for n in range(len(values)):
         passed[n] = values[n] * np.float32(opened[n])
@@ -128,7 +139,7 @@ _PI_LOW = np.float32(np.pi - 3.140625 - 9.67025756835937e-04)
 
 
 @njit(nogil=True, cache=True, inline="always")
-def _signed_sine(x, turns, sign):
+def _signed_sine(x: np.float32, turns: np.float32, sign: np.float32) -> np.float32:
     """sign * sin(x - turns * pi), for a difference within a quarter turn."""
     r = ((x - turns * _PI_HIGH) - turns * _PI_MIDDLE) - turns * _PI_LOW
     s = r * r
@@ -141,7 +152,7 @@ def _signed_sine(x, turns, sign):
 
 
 @njit(nogil=True, cache=True, fastmath={"nnan", "ninf", "nsz", "contract"})
-def sine(angles, sines):
+def sine(angles: np.ndarray, sines: np.ndarray) -> None:
     """sin of angles (N,) up to some thousand radians, to 2e-7, in a quarter of the time of NumPy's."""
     one, half, two = np.float32(1.0), np.float32(0.5), np.float32(2.0)
     for n in range(len(angles)):
@@ -151,7 +162,7 @@ def sine(angles, sines):
 
 
 @njit(nogil=True, cache=True, fastmath={"nnan", "ninf", "nsz", "contract"})
-def cosine(angles, cosines):
+def cosine(angles: np.ndarray, cosines: np.ndarray) -> None:
     """cos of angles (N,), as `sine`."""
     one, half, two = np.float32(1.0), np.float32(0.5), np.float32(2.0)
     for n in range(len(angles)):

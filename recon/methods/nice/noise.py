@@ -12,6 +12,7 @@ from torch.nn.functional import softplus
 from ...core import normals as features
 from ...core.camera import Camera
 from . import published_normals
+from .decoders import linear_layers
 
 # Constants of UncLe-SLAM.
 PATCH = 5  # pixels
@@ -32,7 +33,7 @@ class NoiseNet(nn.Module):
         sizes = [inputs * patch**2, *[HIDDEN] * HIDDEN_LAYERS, 1]
         self.layers = nn.ModuleList(nn.Linear(a, b) for a, b in pairwise(sizes))
         with torch.no_grad():
-            for layer in self.layers:
+            for layer in linear_layers(self.layers):
                 nn.init.xavier_uniform_(layer.weight, nn.init.calculate_gain("relu"), generator=generator)
                 layer.bias.zero_()
 
@@ -51,6 +52,7 @@ def noise_inputs(depth: Tensor, normals: Tensor, camera: Camera, count: int, rel
     own normals (docs/uncle-paper.md, differences 6 and 7).
     """
     metres = depth.numpy()
+    gradients: tuple[np.ndarray, ...] = ()
     if released:
         smooth = published_normals.smooth_depth(metres)
         normal = published_normals.normals(smooth, camera).astype(np.float32)
@@ -59,7 +61,8 @@ def noise_inputs(depth: Tensor, normals: Tensor, camera: Camera, count: int, rel
     else:
         normal = normals.numpy()
         incidence = np.arccos(features.incidence(normal, camera)).astype(np.float32)
-        gradients = features.gradients(metres) if count == 7 else ()
+        if count == 7:
+            gradients = features.gradients(metres)
     planes = [metres, incidence] if count == 2 else [metres, *np.moveaxis(normal, -1, 0), incidence, *gradients]
     return torch.from_numpy(np.stack(planes).astype(np.float32, copy=False))
 

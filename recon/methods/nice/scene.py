@@ -61,8 +61,9 @@ class GridScene:
 
     def freeze(self) -> None:
         """Compute no gradients of grids and decoders."""
-        for part in (*(grid.table for grid in self.grids.values()), self.color_decoder):
-            part.requires_grad_(False)
+        for grid in self.grids.values():
+            grid.table.requires_grad_(False)
+        self.color_decoder.requires_grad_(False)
 
     def unfreeze(self, colors: bool = True) -> None:
         """Compute gradients of all grids, and of the colour decoder if `colors`."""

@@ -16,8 +16,9 @@ from ...core.frame import Frame
 from ...run.frames import RunFrames
 from ...volume.neural_field import NeuralField
 from ...volume.sparse_grid import SparseGrid
+from ..base import Poses
 from ..confidence.models import ConfidenceModels
-from ..online import Found, Poses
+from ..online import Found
 from .bound import backproject, bound_around, bound_of_frames, configured_bound
 from .confidence_weighting import ConfidenceWeighting
 from .fast import FastEvaluate

@@ -12,7 +12,7 @@ from ...core.se3 import predict_pose
 from ..online import Found
 from .objective import Evaluate, render_rays, tracking_loss
 from .poses import to_pose_matrix, to_pose_vector, to_rigid
-from .scene import GridScene
+from .scene import GridScene, Stage
 from .views import PreparedFrame, Window
 from .weighting import Weighting
 
@@ -61,6 +61,6 @@ class NiceTracker:
         """Tracking loss of newly drawn pixels; poses (1, 4, 4)."""
         uses_color = self.config.tracking.color and self.config.nice.color
         rays = window.draw(self.settings.pixels, self.draws)
-        stage = "color" if uses_color else "fine"
+        stage: Stage = "color" if uses_color else "fine"
         rendered = render_rays(rays, poses, self.evaluate, self.scene.bound, stage, self.config.nice)
         return tracking_loss(rendered, rays, self.weighting, self.config.nice.reproduce_released_code)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import copy
 import math
 import time
+from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from typing import Any
 
@@ -16,7 +17,7 @@ from torch.nn.functional import avg_pool2d, conv2d
 from ...core.errors import ConfigError, DataError
 from ...core.events import OnEvent, Progress, ignore
 from ...core.files import DEPTH_UNITS_PER_M
-from ..confidence.network import SMALLEST_SIDE, ConfidenceNetwork
+from ..confidence.network import SMALLEST_SIDE, ConfidenceNetwork, channels_last
 from .depth_pairs import DepthPairs
 
 NEAREST_M, FARTHEST_M = 0.05, 12.3  # true depths that count
@@ -82,9 +83,7 @@ def train_confidence(
     Those are the frames of the last recording, or the last fifth where there is only one. Raises DataError.
     """
     images = _Images(pairs, settings, device)
-    network = ConfidenceNetwork(torch.Generator().manual_seed(settings.seed)).to(
-        device, memory_format=torch.channels_last
-    )
+    network = channels_last(ConfidenceNetwork(torch.Generator().manual_seed(settings.seed)).to(device))
     optimizer = torch.optim.RMSprop(network.parameters(), lr=settings.learning_rate, alpha=0.95, eps=1e-7, momentum=0.9)
     best, best_state, history = math.inf, copy.deepcopy(network.state_dict()), []
     stage, began, share, step = f"training {pairs.sensor}", time.monotonic(), 0.0, 0
@@ -156,7 +155,7 @@ class _Images:
         return [frames[pick] for pick in picks], rows, columns
 
     def _cut(self, frames: list[int], rows: list[int], columns: list[int]) -> tuple[Tensor, Tensor, Tensor]:
-        def crops(image_of) -> Tensor:
+        def crops(image_of: Callable[[int], Tensor]) -> Tensor:
             parts = [
                 image_of(f)[y : y + self.side, x : x + self.side] for f, y, x in zip(frames, rows, columns, strict=True)
             ]

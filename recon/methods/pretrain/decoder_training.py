@@ -14,7 +14,16 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from ..nice.decoders import CHANNELS, EMBEDDING, OCCUPANCY_SLOPE, Decoder, OccupancyDecoders, random_decoders
+from ..nice.decoders import (
+    CHANNELS,
+    EMBEDDING,
+    OCCUPANCY_SLOPE,
+    SKIP_AFTER,
+    Decoder,
+    OccupancyDecoders,
+    linear_layers,
+    random_decoders,
+)  # fmt: skip
 from .cubes import WORLD_M, CubeBatch, cube_logits, cube_losses
 from .grids import INITIAL_STD
 
@@ -51,7 +60,7 @@ class DecoderTrainer:
             _hush_embedding(decoder)
             self.parameters += decoder.to(device).parameters()
         with torch.no_grad():
-            for layer in self.decoders.fine.injection:
+            for layer in linear_layers(self.decoders.fine.injection):
                 layer.weight[:, :CHANNELS] *= settings.fine_gain
         self.optimizer = torch.optim.AdamW(_groups(self.decoders, settings), lr=settings.learning_rate)
         self.begin_cubes()
@@ -123,7 +132,8 @@ class DecoderTrainer:
 @torch.no_grad()
 def _hush_embedding(decoder: Decoder) -> None:
     """Let the decoder start almost without reading the embedding, which says nothing about a new scene."""
-    for layer in (decoder.hidden[0], decoder.hidden[3]):
+    hidden = linear_layers(decoder.hidden)
+    for layer in (hidden[0], hidden[SKIP_AFTER + 1]):
         layer.weight[:, :EMBEDDING] *= 0.1
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import zipfile
+import zlib
 from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
@@ -91,7 +92,7 @@ def load_arrays(path: Path, kind: str, command: str) -> dict[str, np.ndarray]:
             arrays = dict(file)
     except FileNotFoundError as error:
         raise DataError(f"there is no file {path}") from error
-    except (OSError, ValueError, EOFError, zipfile.BadZipFile, zipfile.zlib.error) as error:
+    except (OSError, ValueError, EOFError, zipfile.BadZipFile, zlib.error) as error:
         raise DataError(f"cannot read {path}: not a whole file of training data; make it with `{command}`") from error
     if str(arrays.get("format")) != kind:
         raise DataError(f"{path} is not a file of training data of this kind; make it with `{command}`")

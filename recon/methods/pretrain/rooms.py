@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import torch
@@ -9,6 +10,7 @@ from torch import Tensor
 
 FURNITURE = 9  # pieces in a room
 CLUTTER = 8  # small boxes, and as many cylinders and ellipsoids each
+Uniform = Callable[..., Tensor]  # (*shape, low=0.0, high=1.0): random numbers
 NOWHERE = 1e3  # half-size, metres below zero, of a box that is not there
 
 # Boxes of each piece as (x0, x1, y0, y1, z0, z1), shares of its width, depth and height; a pair (share, k) adds k times
@@ -137,14 +139,14 @@ def draw_rooms(count: int, generator: torch.Generator) -> Rooms:
     )  # fmt: skip
 
 
-def _inside(size: Tensor, number: int, uniform) -> Tensor:
+def _inside(size: Tensor, number: int, uniform: Uniform) -> Tensor:
     """Random places in the rooms, (S, number, 3); half of them low, where things lie."""
     place = uniform(len(size), number, 3)
     place[:, : number // 2, 2] *= 0.4
     return (place - place.new_tensor([0.5, 0.5, 0.0])) * size[:, None]
 
 
-def _draw_furniture(size: Tensor, generator: torch.Generator, uniform) -> tuple[Tensor, Tensor, Tensor]:
+def _draw_furniture(size: Tensor, generator: torch.Generator, uniform: Uniform) -> tuple[Tensor, Tensor, Tensor]:
     """Centres (S, B, 3), half-sizes (S, B, 3) and yaws (S, B) of the boxes of all pieces."""
     count, device = len(size), size.device
     kind = torch.randint(len(PIECES), (count, FURNITURE), generator=generator, device=device)

@@ -6,7 +6,7 @@ import math
 import time
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor
@@ -144,6 +144,23 @@ def is_outlier(sdf: Tensor, truth: Tensor, truncation_m: float) -> Tensor:
     return ((sdf - truth).abs() > OUTLIER_SHARE * truncation_m) & (sdf * truth < 0)
 
 
+class PairSamples(NamedTuple):
+    """N samples of both maps, in the order of `senfunet_loss`; all (N,) float32.
+
+    alpha             share of the first sensor, 0..1
+    first, second     signed distances of the sensors, metres
+    weight_1, weight_2   their numbers of measurements, 0 = none
+    truth             true signed distances, metres
+    """
+
+    alpha: Tensor
+    first: Tensor
+    second: Tensor
+    weight_1: Tensor
+    weight_2: Tensor
+    truth: Tensor
+
+
 class PairMaps:
     """The maps of both sensors over the box of a scene's true distances."""
 
@@ -201,9 +218,8 @@ class PairMaps:
         rows = ((self.maps[0].weight > 0) | (self.maps[1].weight > 0)).nonzero()[:, 0]
         return self._bricks(rows)
 
-    def samples(self, bricks: Tensor, updates: list[Update] | None = None) -> tuple[Tensor, ...]:
-        """alpha, distance and weight of both, and truth of the samples in `bricks` (B, 3), flat (alpha, d1, d2, w1, w2,
-        truth); as if `updates` were applied, with their gradient."""
+    def samples(self, bricks: Tensor, updates: list[Update] | None = None) -> PairSamples:
+        """The samples in `bricks` (B, 3), as if `updates` were applied, with their gradient."""
         rows = self.rows(brick_samples(bricks))
         at, there = rows.clamp(min=0), rows >= 0
         features, distances, weights = [], [], []
@@ -217,7 +233,7 @@ class PairMaps:
         alpha = self.model.weighting(weighting_inputs((features[0], features[1]), (weights[0], weights[1])))
         truth = self.steps[inner_part(at)].float() * (self.truth.truncation_m / 127)
         inner = [inner_part(weight) for weight in weights]
-        return tuple(part.reshape(-1) for part in (alpha, *distances, *inner, truth))
+        return PairSamples(*(part.reshape(-1) for part in (alpha, *distances, *inner, truth)))
 
     def _bricks(self, rows: Tensor) -> Tensor:
         """Distinct bricks (B, 3) of rows."""

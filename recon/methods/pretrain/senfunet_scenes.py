@@ -43,6 +43,10 @@ class Scene:
     def color(self, index: int) -> torch.Tensor:
         """(H, W, 3) uint8 RGB."""
         image = cv2.imdecode(self.jpegs[index], cv2.IMREAD_COLOR)
+        if image is None:
+            raise DataError(
+                f"colour image {index} of the training data cannot be decoded; make them again: `{COMMAND}`"
+            )
         return torch.from_numpy(cv2.cvtColor(image, cv2.COLOR_BGR2RGB))
 
 

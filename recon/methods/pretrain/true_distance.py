@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from scipy.ndimage import binary_dilation
@@ -11,6 +11,9 @@ from scipy.ndimage import binary_dilation
 from ...core.camera import Camera
 from ...core.events import OnEvent, ignore, track_progress
 from ...core.mesh import Mesh
+
+if TYPE_CHECKING:
+    import open3d as o3d
 
 _STEPS = 127.0  # the largest distance as a signed byte
 _SURE_M = 0.1  # before or behind the true depth of a pixel by more: no ray is needed to tell
@@ -78,7 +81,10 @@ def _near(mesh: Mesh, first: np.ndarray, shape: np.ndarray, voxel_size_m: float,
     return binary_dilation(marked, np.ones((3, 3, 3), bool), iterations=int(np.ceil(truncation_m / voxel_size_m)) + 2)
 
 
-def _seen(positions, near, mesh: Mesh, camera: Camera, T_world_camera, true_depth, on_event: OnEvent) -> np.ndarray:
+def _seen(
+    positions: np.ndarray, near: np.ndarray, mesh: Mesh, camera: Camera, T_world_camera: np.ndarray,
+    true_depth: np.ndarray, on_event: OnEvent,
+) -> np.ndarray:  # fmt: skip
     """(P,) bool: samples that a camera saw."""
     import open3d as o3d
 
@@ -114,7 +120,7 @@ def _distance(mesh: Mesh, points: np.ndarray) -> np.ndarray:
     return np.concatenate([caster.compute_distance(o3d.core.Tensor(part)).numpy() for part in parts])
 
 
-def _caster(mesh: Mesh):
+def _caster(mesh: Mesh) -> o3d.t.geometry.RaycastingScene:
     import open3d as o3d
 
     caster = o3d.t.geometry.RaycastingScene()

@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import torch
 from torch import Tensor, nn
@@ -19,6 +19,7 @@ FORMAT = FileFormat(
 )
 SHIPPED = Path(__file__).parent / "weights"
 STANDS_FOR = {"dense": "psmnet"}  # a simulated sensor -> the real kind whose networks are taken
+Network = TypeVar("Network", FeatureNetwork, WeightingNetwork)
 STEREO = frozenset({"sgm", "psmnet", "dense", "mvs"})  # sensors whose errors follow what the colour camera sees
 
 
@@ -46,7 +47,8 @@ class SenfunetModel:
         found = tuple(STANDS_FOR.get(sensor, sensor) for sensor in model.sensors)
         if set(wanted) != set(found):
             raise ConfigError(f"{path} is of the sensors {' and '.join(model.sensors)}, not {' and '.join(sensors)}")
-        names = tuple(wanted[sensor] for sensor in found)
+        first, second = found
+        names = (wanted[first], wanted[second])
         features = {name: model.features[old] for name, old in zip(names, model.sensors, strict=True)}
         return SenfunetModel(names, features, model.weighting, model.voxel_size_m)
 
@@ -116,6 +118,6 @@ def _read(path: Path) -> SenfunetModel:
         raise FORMAT.error(str(path)) from error
 
 
-def _filled(network, weights: dict[str, Tensor]):
+def _filled(network: Network, weights: dict[str, Tensor]) -> Network:
     network.load_state_dict({key: values.float() for key, values in weights.items()})
     return network.eval()

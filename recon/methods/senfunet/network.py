@@ -30,7 +30,11 @@ class FeatureNetwork(nn.Module):
         _start(self, generator)
 
     def forward(self, depth: Tensor, color: Tensor | None = None) -> Tensor:
-        values = torch.cat([depth, color], 1) if self.color else depth
+        values = depth
+        if self.color:
+            if color is None:
+                raise ValueError("this network needs a colour image beside the depth")
+            values = torch.cat([depth, color], 1)
         for block in self.blocks:
             values = block(values)
         return torch.cat([normalize(values, dim=1, eps=1e-6), depth], 1)
@@ -73,5 +77,5 @@ def _start(module: nn.Module, generator: torch.Generator | None) -> None:
         for layer in module.modules():
             if isinstance(layer, nn.Conv2d | nn.Conv3d):
                 bound = layer.weight[0].numel() ** -0.5
-                layer.weight.uniform_(-bound, bound, generator=generator)
-                layer.bias.uniform_(-bound, bound, generator=generator)
+                for values in layer.parameters():  # weight, bias
+                    values.uniform_(-bound, bound, generator=generator)

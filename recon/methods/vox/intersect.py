@@ -30,8 +30,11 @@ def intersect(voxels: SparseGrid, origins: Tensor, directions: Tensor, far: Tens
     origins (N, 3), metres; directions (N, 3) with unit z-component in the camera (`Camera.rays`, rotated).
     """
     if origins.device.type == "cpu":
-        rays = (np.ascontiguousarray(part.detach().numpy(), np.float32) for part in (origins, directions, far))
-        found = _walk(*rays, *voxels.lookup(), voxels.block_size_m, most)
+        volume, low = voxels.lookup()
+        starts, ways, ends = (
+            np.ascontiguousarray(part.detach().numpy(), np.float32) for part in (origins, directions, far)
+        )
+        found = _walk(starts, ways, ends, volume, low, voxels.block_size_m, most)
         return Hits(*(torch.from_numpy(part) for part in found))
     return intersect_tensors(voxels, origins, directions, far, most)
 
@@ -44,12 +47,12 @@ def intersect_tensors(voxels: SparseGrid, origins: Tensor, directions: Tensor, f
     size, (volume, low) = voxels.block_size_m, voxels.lookup_volume()
     start = origins / size - low
     direction = directions / size
-    cuts = [
+    planes = [
         (torch.arange(volume.shape[axis] + 1, device=start.device) - start[:, axis, None]) / direction[:, axis, None]
         for axis in range(3)
     ]
     reach = torch.where(torch.isfinite(far), far, 1e6)[:, None]
-    cuts = torch.cat(cuts, 1).nan_to_num(nan=0.0, posinf=1e6, neginf=0.0)
+    cuts = torch.cat(planes, 1).nan_to_num(nan=0.0, posinf=1e6, neginf=0.0)
     edges = torch.minimum(cuts.clamp(min=0.0), reach).sort(1).values
     edges = torch.cat([torch.zeros_like(reach), edges], 1)
     entry, exit = edges[:, :-1], edges[:, 1:]
@@ -66,7 +69,10 @@ def intersect_tensors(voxels: SparseGrid, origins: Tensor, directions: Tensor, f
 
 
 @njit(nogil=True, cache=True)
-def _walk(origins, directions, far, volume, low, size, most):
+def _walk(
+    origins: np.ndarray, directions: np.ndarray, far: np.ndarray, volume: np.ndarray, low: np.ndarray, size: float,
+    most: int,
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:  # fmt: skip
     """From voxel to voxel, always through the nearest of the three planes ahead."""
     count = len(origins)
     ids = np.full((count, most), -1, np.int64)
@@ -103,7 +109,9 @@ def _walk(origins, directions, far, volume, low, size, most):
 
 
 @njit(nogil=True, cache=True)
-def _clip(origin, direction, shape, low, size, far):
+def _clip(
+    origin: np.ndarray, direction: np.ndarray, shape: tuple[int, ...], low: np.ndarray, size: float, far: float
+) -> tuple[float, float]:
     """The part of a ray within the box of the lookup volume, from 0 to `far` at most."""
     first, last = 0.0, np.float64(far)
     for axis in range(3):

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import torch
 from torch import Tensor
 from torch.nn.functional import embedding_bag
@@ -9,12 +11,12 @@ from torch.nn.functional import embedding_bag
 
 class _Trilinear(torch.autograd.Function):
     @staticmethod
-    def forward(ctx, table: Tensor, rows: Tensor, fractions: Tensor) -> Tensor:
+    def forward(ctx: Any, table: Tensor, rows: Tensor, fractions: Tensor) -> Tensor:
         ctx.save_for_backward(table, rows, fractions)
         return embedding_bag(rows, table, mode="sum", per_sample_weights=corner_weights(fractions))
 
     @staticmethod
-    def backward(ctx, grad: Tensor) -> tuple[Tensor | None, None, Tensor | None]:
+    def backward(ctx: Any, grad: Tensor) -> tuple[Tensor | None, None, Tensor | None]:
         table, rows, fractions = ctx.saved_tensors
         to_table = to_place = None
         if ctx.needs_input_grad[0]:

@@ -28,7 +28,7 @@ class Decoder(nn.Module):
         self.out = nn.Linear(config.hidden, 1 + config.features)  # row 0: the distance
         self.color_first = nn.Linear(config.features, config.hidden)
         self.color_out = nn.Linear(config.hidden, 3)
-        for layer in self.children():
+        for layer in (self.first, self.second, self.out, self.color_first, self.color_out):
             bound = 1 / math.sqrt(layer.in_features)
             for values in (layer.weight, layer.bias):
                 nn.init.uniform_(values, -bound, bound, generator=generator)

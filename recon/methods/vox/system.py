@@ -14,7 +14,8 @@ from ...core.events import OnEvent, track_progress
 from ...core.frame import Frame
 from ...run.frames import RunFrames
 from ...volume.neural_field import NeuralField
-from ..online import Found, Poses
+from ..base import Poses
+from ..online import Found
 from .mapping import VoxMapper
 from .model import VoxModel
 from .surface import MAX_VIEWS, SampledSurface
