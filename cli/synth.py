@@ -41,12 +41,10 @@ def command(
     uncle synth room --sensors sl sgm tof
     uncle synth mine --mesh room.glb --up y --loops 2
     """
-    from ..datasets.synth.write import make_dataset
+    from ..datasets.synth.write import SynthOptions, make_dataset
     from ..recon.core.events import Note
 
     on_event = listener(ctx)
-    make_dataset(
-        out, frames=frames, size=size, seed=seed, mesh=mesh, sensors=sensors or ("sl", "sgm"), loops=loops, up=up,
-        overwrite=overwrite, on_event=on_event,
-    )  # fmt: skip
+    options = SynthOptions(frames, size, seed, mesh, up, sensors or ("sl", "sgm"), loops)
+    make_dataset(out, options, overwrite=overwrite, on_event=on_event)
     on_event(Note(f"{out}: {frames} frames; go on with `uncle preprocess {out}`"))

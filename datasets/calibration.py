@@ -18,15 +18,17 @@ MAX_BASELINE_M = 1.0  # no hand-held rig is wider; a larger number is a translat
 
 @dataclass(frozen=True)
 class Calibration:
-    """What turns the pixels of a recording into metres.
+    """How the images of a recording become frames in metres.
 
-    camera              of the depth images, and of the frames that a reader gives
+    camera              of the depth images
     depth_units_per_m   value of a depth pixel at a distance of one metre
     distortion          OpenCV's (k1, k2, p1, p2[, k3]) of colour and depth images; empty: already undistorted
     color_camera        of the colour images where another camera took them; None: they are registered to depth
     T_color_depth       (4, 4) from the axes of `camera` to those of `color_camera`, metres; None without the latter
     color_distortion    of the colour images of `color_camera`; `distortion` is of the depth images alone then
     registration_sigma_px  how far colour may lie beside the depth it belongs to, by an error that all frames share
+    resize_color        registered colour of another size is resampled to the size of the depth images; else an error
+    margin_px           pixels to cut from every side of every image
     """
 
     camera: Camera
@@ -36,6 +38,8 @@ class Calibration:
     T_color_depth: np.ndarray | None = None
     color_distortion: tuple[float, ...] = ()
     registration_sigma_px: float = 0.0
+    resize_color: bool = False
+    margin_px: int = 0
 
 
 class CameraFields(BaseModel):
@@ -59,6 +63,7 @@ class CameraFields(BaseModel):
 
     @property
     def camera(self) -> Camera:
+        """The pinhole part, without distortion."""
         return Camera(self.width, self.height, self.fx, self.fy, self.cx, self.cy)
 
 

@@ -17,6 +17,7 @@ TIMESTAMPS_FILE = "timestamps.txt"
 
 
 def matches(path: Path) -> bool:
+    """Whether the folder has a `camera.json` and the folder `color`."""
     return (path / CAMERA_FILE).is_file() and (path / "color").is_dir()
 
 

@@ -34,9 +34,6 @@ class FileRecording:
     """Implements `recon.frame.Recording`. Raises DataError where the entries make no recording.
 
     Colour of a camera of its own (`calibration.color_camera`) is registered to the depth images.
-
-    `resize_color`  registered colour of another size is resampled to the depth camera's instead of refused
-    `margin`        pixels to cut from every side of every image
     """
 
     def __init__(
@@ -50,8 +47,6 @@ class FileRecording:
         name: str | None = None,
         notes: Sequence[str] = (),
         reference_mesh: Path | None = None,
-        resize_color: bool = False,
-        margin: int = 0,
     ) -> None:
         if not entries:
             raise DataError(f"{root} holds no frames that can be read as `{format}`")
@@ -64,7 +59,7 @@ class FileRecording:
         self.has_timestamps = all(entry.timestamp is not None for entry in entries)
         self.has_poses = any(entry.T_world_camera is not None for entry in entries)
         self._entries = tuple(entries)
-        self._calibration, self._resize_color, self._margin = calibration, resize_color, margin
+        self._calibration = calibration
         self._undistorter = self._color_undistorter = Undistorter(calibration.camera, calibration.distortion)
         self._registration: ColorRegistration | None = None
         if calibration.color_camera is not None and calibration.T_color_depth is not None:
@@ -77,7 +72,8 @@ class FileRecording:
 
     @property
     def camera(self) -> Camera:
-        return self._calibration.camera.cropped(self._margin)
+        """The camera of the frames: undistorted, without the margin."""
+        return self._calibration.camera.cropped(self._calibration.margin_px)
 
     @property
     def registration_sigma_px(self) -> float:
@@ -106,7 +102,9 @@ class FileRecording:
         """(H, W, 3) uint8 RGB. Raises FrameError."""
         camera = self._calibration.color_camera or self._calibration.camera
         try:
-            image = read_color(self._entries[index].color, camera, self._resize_color and self._registration is None)
+            image = read_color(
+                self._entries[index].color, camera, self._calibration.resize_color and self._registration is None
+            )
         except DataError as error:
             raise FrameError(f"frame {index}: {error}") from error
         image = self._color_undistorter.color(image)
@@ -139,7 +137,8 @@ class FileRecording:
 
     def _cropped(self, image: np.ndarray) -> Tensor:
         height, width = image.shape[:2]
-        inner = image[self._margin : height - self._margin, self._margin : width - self._margin]
+        margin = self._calibration.margin_px
+        inner = image[margin : height - margin, margin : width - margin]
         return torch.from_numpy(np.ascontiguousarray(inner))
 
     def _require_increasing_timestamps(self) -> None:

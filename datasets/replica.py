@@ -18,6 +18,7 @@ RENDERED = Calibration(Camera(1200, 680, 600.0, 600.0, 599.5, 339.5), 6553.5)
 
 
 def matches(path: Path) -> bool:
+    """Whether the folder has `results/frame*`."""
     return any((path / "results").glob("frame*"))
 
 

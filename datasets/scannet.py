@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 from ..recon.core.camera import Camera
@@ -17,6 +18,7 @@ BORDER_PX = 10  # the export leaves a black rim around the colour images
 
 
 def matches(path: Path) -> bool:
+    """Whether the folder has `color` beside `pose` or `intrinsic`."""
     base = _base(path)
     return (base / "color").is_dir() and ((base / "pose").is_dir() or (base / "intrinsic").is_dir())
 
@@ -44,11 +46,9 @@ def read(path: Path) -> FileRecording:
         "scannet",
         entries,
         ("depth",),
-        calibration,
+        replace(calibration, resize_color=True, margin_px=BORDER_PX),
         notes=(*notes, f"a rim of {BORDER_PX} pixels is cut off"),
         reference_mesh=first_file([path / name for name in meshes]),
-        resize_color=True,
-        margin=BORDER_PX,
     )
 
 

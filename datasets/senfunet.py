@@ -26,6 +26,7 @@ SENSOR_OF_FOLDER = {
 
 
 def matches(path: Path) -> bool:
+    """Whether the folder has `left_rgb`, of the folder or of a trajectory in it."""
     return (path / "left_rgb").is_dir() or any(path.glob("*/left_rgb"))
 
 

@@ -30,6 +30,7 @@ MARKER = "frame-*.color.*"
 
 
 def matches(path: Path) -> bool:
+    """Whether the folder has images such as `frame-000000.color.png`, of the folder or of a sequence in it."""
     return any(path.glob(MARKER)) or any(path.glob(f"seq-*/{MARKER}"))
 
 

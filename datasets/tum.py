@@ -32,6 +32,7 @@ UNKNOWN_KINECT = Calibration(Camera(640, 480, 525.0, 525.0, 319.5, 239.5), UNITS
 
 
 def matches(path: Path) -> bool:
+    """Whether the folder has `rgb.txt` and `depth.txt`."""
     return (path / "rgb.txt").is_file() and (path / "depth.txt").is_file()
 
 
@@ -109,7 +110,8 @@ def _camera(path: Path) -> tuple[Calibration, tuple[str, ...]]:
     for text in (path.resolve().name, *heads):
         if match := re.search(r"(?:freiburg|fr)[ _-]?([123])", text):
             return CALIBRATIONS[match[1]], ()
-    return UNKNOWN_KINECT, (
+    note = (
         "neither folder nor lists name freiburg1, 2 or 3: a default Kinect is assumed (f 525, c 319.5 239.5); "
-        f"a {CAMERA_FILE} states another",
+        f"a {CAMERA_FILE} states another"
     )
+    return UNKNOWN_KINECT, (note,)

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import torch
 from uncle.datasets import senfunet
-from uncle.datasets.synth.write import make_dataset
+from uncle.datasets.synth.write import SynthOptions, make_dataset
 from uncle.recon.core.errors import RunError
 from uncle.recon.core.frame import Frame
 from uncle.recon.core.trajectory import Trajectory
@@ -159,7 +159,7 @@ class Frames:
 @pytest.fixture(scope="module")
 def room(tmp_path_factory):
     out = tmp_path_factory.mktemp("slam") / "room"
-    return senfunet.read(make_dataset(out, frames=6, size=256, seed=1, sensors=()))
+    return senfunet.read(make_dataset(out, SynthOptions(frames=6, size_px=256, seed=1, sensors=())))
 
 
 @pytest.mark.parametrize(

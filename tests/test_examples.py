@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 from uncle.datasets import open_dataset
 from uncle.datasets.registry import unregister_reader
-from uncle.datasets.synth.write import make_dataset
+from uncle.datasets.synth.write import SynthOptions, make_dataset
 from uncle.recon.core.mesh import Mesh
 from uncle.recon.methods import method_spec, unregister_method
 from uncle.recon.run import RunDirectory, RunFrames
@@ -28,7 +28,8 @@ FRAMES = 6
 
 @pytest.fixture(scope="module")
 def dataset(tmp_path_factory):
-    return make_dataset(tmp_path_factory.mktemp("examples") / "room", frames=FRAMES, size=96, sensors=("sl", "sgm"))
+    options = SynthOptions(frames=FRAMES, size_px=96, sensors=("sl", "sgm"))
+    return make_dataset(tmp_path_factory.mktemp("examples") / "room", options)
 
 
 @pytest.fixture(scope="module")

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from uncle.datasets.synth.write import make_dataset
+from uncle.datasets.synth.write import SynthOptions, make_dataset
 from uncle.recon.core.errors import ConfigError, RunError
 from uncle.recon.core.mesh import Mesh
 from uncle.recon.run.directory import RunDirectory
@@ -78,7 +78,7 @@ def test_property_names_do_not_count_but_every_value_does(tmp_path):
 
 def test_a_tiny_case_gives_the_same_digests_twice_and_other_settings_other_ones(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
-    make_dataset(tmp_path / "room", frames=4, size=64, seed=0, sensors=("sl",))
+    make_dataset(tmp_path / "room", SynthOptions(frames=4, size_px=64, seed=0, sensors=("sl",)))
     case = "tiny=room:0:3:--sensors sl --voxel 0.1 --method tsdf"
     assert same_result.main([case, "--out", "first.json"]) == 0
     assert set(json.loads(Path("first.json").read_text())["cases"]["tiny"]) == {"mesh", "trajectory"}

@@ -29,6 +29,7 @@ class Finishes:
 
     @staticmethod
     def make(b: Builder) -> Finishes:
+        """Draw the textures of a room, from the random numbers of its builder."""
         rng = b.rng
         woods = tuple(b.finish(tx.wood(rng, color), 0.9) for color in ([150, 100, 58], [96, 60, 38], [196, 160, 112]))
         fabrics = tuple(b.finish(tx.fabric(rng, tx.hue(rng, 0.45, 0.6)), 0.6) for _ in range(2))
@@ -42,12 +43,15 @@ class Finishes:
         )  # fmt: skip
 
     def wood(self, rng: np.random.Generator) -> Finish:
+        """One of the woods, at random."""
         return self.woods[rng.integers(len(self.woods))]
 
     def cloth(self, rng: np.random.Generator) -> Finish:
+        """One of the fabrics, at random."""
         return self.fabrics[rng.integers(len(self.fabrics))]
 
     def paint(self, rng: np.random.Generator) -> Finish:
+        """One of the paints, at random."""
         return self.paints[rng.integers(len(self.paints))]
 
 
@@ -161,13 +165,13 @@ def desk(b: Builder, f: Finishes, width: float, depth: float) -> None:
     b.box([0.18, 0.24, 0.12], [width / 2 - 0.2, 0.05, 0.81], f.books)
 
 
-def stool(b: Builder, f: Finishes, width: float = 0.38, depth: float = 0.38) -> None:
+def stool(b: Builder, f: Finishes, width: float = 0.38, _depth: float = 0.38) -> None:
     """A round padded stool."""
     b.cylinder(width / 2, 0.08, [0, 0, 0.42], f.cloth(b.rng))
     b.cylinder(width / 2 - 0.03, 0.36, [0, 0, 0.2], f.wood(b.rng), 0.06)
 
 
-def plant(b: Builder, f: Finishes, width: float = 0.5, depth: float = 0.5) -> None:
+def plant(b: Builder, f: Finishes, _width: float = 0.5, _depth: float = 0.5) -> None:
     """A pot with a stem and a crown of leaves."""
     height = b.rng.uniform(0.9, 1.4)
     b.cylinder(0.13, 0.32, [0, 0, 0.16], f.paint(b.rng), 0.18)
@@ -179,7 +183,7 @@ def plant(b: Builder, f: Finishes, width: float = 0.5, depth: float = 0.5) -> No
         b.ball(b.rng.uniform(0.05, 0.1), center, f.leaves, b.rng.uniform(0.6, 1.4))
 
 
-def floor_lamp(b: Builder, f: Finishes, width: float = 0.4, depth: float = 0.4) -> None:
+def floor_lamp(b: Builder, f: Finishes, _width: float = 0.4, _depth: float = 0.4) -> None:
     """A standing lamp."""
     b.cylinder(0.15, 0.03, [0, 0, 0.015], f.metal)
     b.cylinder(0.015, 1.4, [0, 0, 0.72], f.metal)

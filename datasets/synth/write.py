@@ -59,37 +59,54 @@ _ALIASES = {"sl": "sl-handa"}
 SENSOR_NAMES = ("sl", *SENSORS)
 
 
-def make_dataset(
-    out: Path,
-    *,
-    frames: int = 130,
-    size: int = 384,
-    seed: int = 0,
-    mesh: Path | None = None,
-    sensors: Sequence[str] = ("sl", "sgm"),
-    loops: int = 0,
-    up: str = "z",
-    overwrite: bool = False,
-    on_event: OnEvent = ignore,
-) -> Path:
-    """Write a data set to `out` and return it. The same arguments give the same files.
+@dataclass(frozen=True)
+class SynthOptions:
+    """What `make_dataset` makes; the same options give the same files. Raises ConfigError if they are out of range.
 
-    frames, size   number of images and their width and height in pixels; the field of view is 90 degrees
-    mesh, up       the user's mesh instead of the made room, and which of its axes ("z", "y") points up
-    sensors        names of `SENSOR_NAMES`; true depth is always written
-    loops          how often the path comes back to where it began
-    Raises ConfigError, DataError and RunError.
+    frames     number of images
+    size_px    their width and height; the field of view is 90 degrees
+    seed       of all random numbers
+    mesh, up   the user's mesh instead of the synthetic room, and which of its axes ("z", "y") points up
+    sensors    names of `SENSOR_NAMES`; true depth is always written
+    loops      how often the path comes back to where it began
     """
-    chosen = _chosen_sensors(sensors)
-    _check_sizes(frames, size, loops, up)
+
+    frames: int = 130
+    size_px: int = 384
+    seed: int = 0
+    mesh: Path | None = None
+    up: str = "z"
+    sensors: Sequence[str] = ("sl", "sgm")
+    loops: int = 0
+
+    def __post_init__(self) -> None:
+        """Check the ranges."""
+        if not 1 <= self.frames <= 100_000:
+            raise ConfigError(f"frames must lie between 1 and 100000, not {self.frames}")
+        if not 32 <= self.size_px <= 2048:
+            raise ConfigError(f"the size must lie between 32 and 2048 pixels, not {self.size_px}")
+        if self.loops < 0 or (self.loops and self.frames < 12 * self.loops + 1):
+            least = 12 * max(self.loops, 0) + 1
+            raise ConfigError(f"{self.loops} loops need at least {least} frames, not {self.frames}")
+        if self.up not in ("z", "y"):
+            raise ConfigError(f"up must be z or y, not {self.up!r}")
+
+
+def make_dataset(
+    out: Path, options: SynthOptions | None = None, *, overwrite: bool = False, on_event: OnEvent = ignore
+) -> Path:
+    """Write a data set to `out` and return it. Raises ConfigError, DataError and RunError."""
+    options = options or SynthOptions()
+    frames, seed, mesh = options.frames, options.seed, options.mesh
+    chosen = _chosen_sensors(options.sensors)
     out = Path(out)
     _check_free(out, overwrite)
-    scene = load_scene(mesh, up) if mesh is not None else furnished_room(seed)
-    camera = square_camera(size)
+    scene = load_scene(mesh, options.up) if mesh is not None else furnished_room(seed)
+    camera = square_camera(options.size_px)
     on_event(Note(f"scene: {mesh if mesh is not None else ', '.join(scene.contents)}"))
     renderer = Renderer(scene, camera, np.random.default_rng([seed, 2]))
     free = FreeSpace.find(renderer.raycaster, *scene.bounds)
-    poses = handheld_path(free, frames, np.random.default_rng([seed, 3]), loops)
+    poses = handheld_path(free, frames, np.random.default_rng([seed, 3]), options.loops)
     _clear(out)
     recorder = _Recorder(out / "1", renderer, camera, chosen, seed)
     surface = SeenSurface(renderer)
@@ -103,7 +120,7 @@ def make_dataset(
             pool.shutdown(cancel_futures=True)
             raise
     surface.mesh().save(out / "mesh_gt.ply")
-    facts = _facts(frames, size, seed, mesh, up, chosen, loops, scene.contents)
+    facts = _facts(options, chosen, scene.contents)
     write_text(out / "synth.json", json.dumps(facts, indent=2) + "\n")  # last: it says that the data set is whole
     return out
 
@@ -189,17 +206,6 @@ def _chosen_sensors(names: Sequence[str]) -> tuple[str, ...]:
     return tuple(chosen.values())
 
 
-def _check_sizes(frames: int, size: int, loops: int, up: str) -> None:
-    if not 1 <= frames <= 100_000:
-        raise ConfigError(f"frames must lie between 1 and 100000, not {frames}")
-    if not 32 <= size <= 2048:
-        raise ConfigError(f"the size must lie between 32 and 2048 pixels, not {size}")
-    if loops < 0 or (loops and frames < 12 * loops + 1):
-        raise ConfigError(f"{loops} loops need at least {12 * max(loops, 0) + 1} frames, not {frames}")
-    if up not in ("z", "y"):
-        raise ConfigError(f"up must be z or y, not {up!r}")
-
-
 def _check_free(out: Path, overwrite: bool) -> None:
     if out.is_file():
         raise RunError(f"{out} is a file; name a new folder")
@@ -216,25 +222,17 @@ def _clear(out: Path) -> None:
             shutil.rmtree(out / "1")
 
 
-def _facts(
-    frames: int,
-    size: int,
-    seed: int,
-    mesh: Path | None,
-    up: str,
-    chosen: Sequence[str],
-    loops: int,
-    contents: Sequence[str],
-) -> dict[str, object]:
+def _facts(options: SynthOptions, chosen: Sequence[str], contents: Sequence[str]) -> dict[str, object]:
+    mesh = options.mesh
     return {
         "made_by": "uncle synth: rendered images and simulated sensors, not a recording",
         "layout": "SenFuNet-Replica",
         "parameters": {
-            "frames": frames, "size_px": size, "seed": seed, "loops": loops,
-            "mesh": str(mesh) if mesh is not None else None, "up": up,
+            "frames": options.frames, "size_px": options.size_px, "seed": options.seed, "loops": options.loops,
+            "mesh": str(mesh) if mesh is not None else None, "up": options.up,
         },
         "scene": {"kind": "user mesh" if mesh is not None else "procedural room", "contents": list(contents)},
-        "camera": square_camera(size).to_dict() | {"stereo_baseline_m": BASELINE_M},
+        "camera": square_camera(options.size_px).to_dict() | {"stereo_baseline_m": BASELINE_M},
         "path": {"kind": "spline through random waypoints with hand shake", "clearance_m": CLEARANCE_M},
         "color": {"noise_sigma_levels": _COLOR_NOISE, "shading": "diffuse; no highlights, no motion blur"},
         "sensors": {"left_depth_gt": "exact depth, rounded to millimetres"}

@@ -70,7 +70,8 @@ class OnlineSystem(Protocol):
     def state_dict(self) -> dict[str, Any]:
         """Plain tensors and containers that `load_state_dict` continues from, bit for bit."""
 
-    def load_state_dict(self, state: dict[str, Any]) -> None: ...
+    def load_state_dict(self, state: dict[str, Any]) -> None:
+        """Continue from what `state_dict` returned."""
 
 
 @dataclass(frozen=True)

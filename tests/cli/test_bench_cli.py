@@ -7,7 +7,7 @@ from types import SimpleNamespace
 import pytest
 from click.testing import CliRunner
 from uncle.cli.main import main
-from uncle.datasets.synth.write import make_dataset
+from uncle.datasets.synth.write import SynthOptions, make_dataset
 from uncle.recon.core.errors import RunError
 from uncle.recon.evaluation.bench import paper, process
 from uncle.recon.evaluation.bench.methods import Catalogue
@@ -22,7 +22,7 @@ def bench(*arguments):
 def done(tmp_path_factory):
     """Two calls: the second also names a data set that is not there."""
     place = tmp_path_factory.mktemp("bench")
-    make_dataset(place / "room", frames=8, size=64, seed=1, sensors=("sl",))
+    make_dataset(place / "room", SynthOptions(frames=8, size_px=64, seed=1, sensors=("sl",)))
     out = place / "out"
     line = [place / "room", "--methods", "tsdf", "--settings", "given", "--set", "fusion.voxel_size_m=0.08"]
     line += ["--set", "fusion.min_observations=1", "--out", out, "--seeds"]

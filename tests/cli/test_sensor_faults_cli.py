@@ -7,7 +7,7 @@ import cv2
 import numpy as np
 from click.testing import CliRunner, Result
 from uncle.cli.main import main
-from uncle.datasets.synth.write import make_dataset
+from uncle.datasets.synth.write import SynthOptions, make_dataset
 
 FRAMES = 20
 FAULTS = {8: "frozen", 12: "zero", 16: "shifted"}  # from a frame on
@@ -54,7 +54,7 @@ def spoil(data: Path, folder: str) -> None:
 
 
 def test_faults_are_reported_and_the_map_survives(tmp_path):
-    room = make_dataset(tmp_path / "room", frames=FRAMES, size=128, sensors=("sl", "sgm"))
+    room = make_dataset(tmp_path / "room", SynthOptions(frames=FRAMES, size_px=128, sensors=("sl", "sgm")))
     said, sensors, sound = map_and_score(room, tmp_path / "sound")
     assert "left out" not in said
     assert all(facts["used_frames"] == FRAMES and not facts["faults"] for facts in sensors.values())

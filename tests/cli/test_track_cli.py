@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from click.testing import CliRunner, Result
 from uncle.cli.main import main
-from uncle.datasets.synth.write import make_dataset
+from uncle.datasets.synth.write import SynthOptions, make_dataset
 from uncle.recon.core.trajectory import Trajectory
 from uncle.recon.run.tracking_record import TrackingRecord
 
@@ -43,7 +43,8 @@ def track(run: Path, *arguments: object) -> Result:
 @pytest.fixture(scope="module")
 def room(tmp_path_factory) -> Path:
     """A short walk through a made room, with poses and its true mesh."""
-    return make_dataset(tmp_path_factory.mktemp("synth") / "room", frames=FRAMES, size=160, sensors=("sl",))
+    options = SynthOptions(frames=FRAMES, size_px=160, sensors=("sl",))
+    return make_dataset(tmp_path_factory.mktemp("synth") / "room", options)
 
 
 @pytest.fixture

@@ -15,7 +15,7 @@ from uncle.datasets.synth.render import Renderer
 from uncle.datasets.synth.room import furnished_room
 from uncle.datasets.synth.seen import subdivide
 from uncle.datasets.synth.user_mesh import load_scene
-from uncle.datasets.synth.write import make_dataset, square_camera
+from uncle.datasets.synth.write import SynthOptions, make_dataset, square_camera
 from uncle.recon.core.errors import ConfigError, DataError, RunError
 from uncle.recon.core.events import Progress
 from uncle.recon.core.mesh import Mesh
@@ -34,7 +34,8 @@ def room():
 def made(tmp_path_factory):
     events = []
     out = tmp_path_factory.mktemp("synth") / "room"
-    make_dataset(out, frames=6, size=SIZE, seed=3, sensors=("sl", "tof", "sgm", "dense"), on_event=events.append)
+    options = SynthOptions(frames=6, size_px=SIZE, seed=3, sensors=("sl", "tof", "sgm", "dense"))
+    make_dataset(out, options, on_event=events.append)
     return out, events
 
 
@@ -156,7 +157,7 @@ def test_a_mesh_without_room_for_a_camera_is_refused(tmp_path):
     path = tmp_path / "cup.ply"
     o3d.io.write_triangle_mesh(str(path), o3d.geometry.TriangleMesh.create_sphere(0.1))
     with pytest.raises(DataError, match="free space"):
-        make_dataset(tmp_path / "out", mesh=path, frames=2, size=SIZE)
+        make_dataset(tmp_path / "out", SynthOptions(mesh=path, frames=2, size_px=SIZE))
     assert not (tmp_path / "out").exists()
 
 
@@ -216,7 +217,7 @@ def test_a_long_path_with_loops_is_no_standing_still_and_does_not_jump_at_them(r
 
 
 def test_loops_reach_the_written_poses(tmp_path):
-    out = make_dataset(tmp_path / "loop", frames=25, size=32, sensors=(), loops=2)
+    out = make_dataset(tmp_path / "loop", SynthOptions(frames=25, size_px=32, sensors=(), loops=2))
     recording = senfunet.read(out)
     home = recording.pose(0)
     for stop in (12, 24):
@@ -304,11 +305,11 @@ def files_of(folder):
 
 
 def test_same_seed_same_files_and_sensors_do_not_disturb_each_other(tmp_path, made):
-    make_dataset(tmp_path / "a", frames=6, size=SIZE, seed=3, sensors=("sgm", "sl"))
+    make_dataset(tmp_path / "a", SynthOptions(frames=6, size_px=SIZE, seed=3, sensors=("sgm", "sl")))
     again, first = files_of(tmp_path / "a"), files_of(made[0])
     again.pop("synth.json")
     assert again == {name: first[name] for name in again}
-    make_dataset(tmp_path / "b", frames=1, size=SIZE, seed=4, sensors=("sl",))
+    make_dataset(tmp_path / "b", SynthOptions(frames=1, size_px=SIZE, seed=4, sensors=("sl",)))
     assert files_of(tmp_path / "b")["1/left_rgb/0.png"] != first["1/left_rgb/0.png"]
 
 
@@ -317,8 +318,8 @@ def test_overwrite_removes_the_old_data_set_and_nothing_else(tmp_path, made):
     shutil.copytree(made[0], out)
     (out / "notes.txt").write_text("mine")
     with pytest.raises(RunError, match="--overwrite"):
-        make_dataset(out, frames=1, size=32)
-    make_dataset(out, frames=1, size=32, sensors=("sl-habitat",), overwrite=True)
+        make_dataset(out, SynthOptions(frames=1, size_px=32))
+    make_dataset(out, SynthOptions(frames=1, size_px=32, sensors=("sl-habitat",)), overwrite=True)
     assert (out / "notes.txt").read_text() == "mine"
     assert sorted(path.name for path in (out / "1").iterdir()) == [
         "left_camera_matrix", "left_depth_gt", "left_depth_noise_1.0", "left_rgb", "right_rgb",
@@ -332,14 +333,14 @@ def test_overwrite_removes_the_old_data_set_and_nothing_else(tmp_path, made):
         ({"sensors": ("lidar",)}, "lidar.*choose from"),
         ({"sensors": ("sl", "sl-habitat")}, "variants of one sensor"),
         ({"frames": 0}, "frames"),
-        ({"size": 8}, "size"),
+        ({"size_px": 8}, "size"),
         ({"frames": 10, "loops": 2}, "25 frames"),
         ({"up": "x"}, "up"),
     ],
 )
 def test_bad_settings_are_named(tmp_path, arguments, message):
     with pytest.raises(ConfigError, match=message):
-        make_dataset(tmp_path / "out", **arguments)
+        make_dataset(tmp_path / "out", SynthOptions(**arguments))
     assert not (tmp_path / "out").exists()
 
 
@@ -371,7 +372,7 @@ def test_a_place_that_cannot_be_written_is_named(tmp_path):
     (tmp_path / "file").write_text("in the way")
     for out in (tmp_path / "file", tmp_path / "file" / "room"):
         with pytest.raises(RunError, match="file"):
-            make_dataset(out, frames=1, size=32, mesh=box_mesh_obj(tmp_path))
+            make_dataset(out, SynthOptions(frames=1, size_px=32, mesh=box_mesh_obj(tmp_path)))
 
 
 @pytest.mark.parametrize("mesh", ["absent.ply", "folder"])

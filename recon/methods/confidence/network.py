@@ -31,6 +31,7 @@ class ConfidenceNetwork(nn.Module):
         assert sum(values.numel() for values in self.parameters()) == PARAMETERS
 
     def forward(self, depth: Tensor) -> Tensor:
+        """Depth (N, 1, H, W) metres, 0 = no measurement -> s (N, 1, H, W), at least 0."""
         fine = self.pre(depth)
         coarse = self.process(max_pool2d(fine, 3, stride=2, padding=1))
         coarse = interpolate(coarse, scale_factor=2, mode="bilinear", align_corners=False)

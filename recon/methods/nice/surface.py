@@ -92,7 +92,7 @@ def extract_field(scene: GridScene, samples: ObservedSamples, evaluate: Evaluate
     grid = SparseGrid(voxel, scene.device)
     grid.restore(samples.grid.blocks[ids][chosen])
     sdf, known = sdf[chosen].view(-1), known[chosen].view(-1)
-    base = torch.cat([sdf[:, None], _colors(scene, grid, sdf, known, evaluate)], 1)
+    base = torch.cat([sdf[:, None], _colors(scene, grid, sdf, known)], 1)
     sigma = torch.full_like(sdf, config.fusion.truncation_voxels * voxel)  # the method states no error of the surface
     return NeuralField(grid, base, sigma, known, config.field, torch.Generator())
 
@@ -125,7 +125,7 @@ def _with_neighbours(chosen: Tensor, blocks: Tensor) -> Tensor:
     return table.block_ids(blocks) >= 0
 
 
-def _colors(scene: GridScene, grid: SparseGrid, sdf: Tensor, known: Tensor, evaluate: Evaluate) -> Tensor:
+def _colors(scene: GridScene, grid: SparseGrid, sdf: Tensor, known: Tensor) -> Tensor:
     """(R, 3) colours of the samples around the surface, grey elsewhere and where none is mapped."""
     colors = torch.full((len(sdf), 3), 0.5, device=sdf.device)
     if not scene.config.color:

@@ -25,9 +25,11 @@ class DepthSource(Protocol):
 
     sensors: tuple[str, ...]
 
-    def __len__(self) -> int: ...
+    def __len__(self) -> int:
+        """Number of frames."""
 
-    def depth(self, index: int, sensor: str) -> Tensor: ...
+    def depth(self, index: int, sensor: str) -> Tensor:
+        """(H, W) float32 metres, 0 = no measurement. Raises DataError."""
 
 
 @dataclass(frozen=True)

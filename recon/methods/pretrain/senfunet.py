@@ -173,6 +173,7 @@ class PairMaps:
         self._rays = scene.camera.rays(device)
 
     def clear(self) -> None:
+        """Remove all measurements from both maps."""
         for sensor_map in self.maps:
             sensor_map.clear()
 
@@ -203,6 +204,7 @@ class PairMaps:
         return made
 
     def apply(self, updates: list[Update]) -> None:
+        """Store `updates`, one for each map, without gradient."""
         for sensor_map, update in zip(self.maps, updates, strict=True):
             sensor_map.apply(update)
 

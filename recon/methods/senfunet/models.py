@@ -65,11 +65,13 @@ class SenfunetModel:
         )  # fmt: skip
 
     def to(self, device: torch.device | str) -> SenfunetModel:
+        """Move the networks to `device`; returns self."""
         for network in self.networks():
             network.to(device)
         return self
 
     def networks(self) -> list[nn.Module]:
+        """The feature networks in the order of the sensors, then the weighting network."""
         return [*self.features.values(), self.weighting]
 
     @property

@@ -30,6 +30,10 @@ class FeatureNetwork(nn.Module):
         _start(self, generator)
 
     def forward(self, depth: Tensor, color: Tensor | None = None) -> Tensor:
+        """Depth (N, 1, H, W) metres, color (N, 3, H, W) in 0..1 or None -> (N, 4, H, W).
+
+        Raises ValueError if a network with colour gets none.
+        """
         values = depth
         if self.color:
             if color is None:
@@ -55,6 +59,7 @@ class WeightingNetwork(nn.Module):
         assert sum(values.numel() for values in self.parameters()) == PARAMETERS
 
     def forward(self, samples: Tensor) -> Tensor:
+        """Samples (N, 10, X + 4, Y + 4, Z + 4) -> alpha (N, X, Y, Z) in 0..1."""
         return torch.sigmoid(self.layers(samples))[:, 0]
 
 

@@ -40,6 +40,7 @@ class Counts:
 
     @staticmethod
     def of(samples: Samples, targets: Targets, truncation_m: float) -> Counts:
+        """Count them in the rays of a batch; scalars of int64."""
         zones = [_zones(samples, targets, sensor, truncation_m) for sensor in range(targets.depths.shape[1])]
         free, near = (torch.stack([zone[part].sum() for zone in zones]).sum() for part in (0, 1))
         return Counts(targets.valid.any(1).sum(), targets.valid.sum(), free, near)

@@ -88,9 +88,11 @@ class VoxMapper:
         return total
 
     def state_dict(self) -> dict[str, Any]:
+        """Keyframes and losses, as plain tensors and containers."""
         return {"keyframes": [vars(view) for view in self.keyframes], "losses": list(self.losses)}
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
+        """Continue from what `state_dict` returned."""
         device = self.model.device
         self.keyframes = [VoxView(**view).to(device) for view in state["keyframes"]]
         self.losses = list(state["losses"])

@@ -112,9 +112,11 @@ class VoxModel:
         }
 
     def state_dict(self) -> dict[str, Any]:
+        """`to_state`, and the state of the optimiser."""
         return {**self.to_state(), "optimizer": self.optimizer.state_dict()}
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
+        """Continue from what `state_dict` returned."""
         self.voxels.restore(state["voxels"].to(self.device), state["corners"].to(self.device))
         self._grow(state["embeddings"].to(self.device)[len(self.embeddings) :])
         self.decoder.load_state_dict(state["decoder"])

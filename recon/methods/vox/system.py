@@ -37,10 +37,12 @@ class VoxSystem:
 
     @property
     def settings(self) -> VoxConfig:
+        """The settings of this method."""
         return self.config.vox
 
     @property
     def map_every(self) -> int:
+        """Frames from one that is mapped to the next."""
         return self.settings.map_every
 
     def begin(self, indices: list[int], on_event: OnEvent) -> None:
@@ -86,6 +88,7 @@ class VoxSystem:
         return {}
 
     def keyframes(self) -> int:
+        """Number of keyframes."""
         return len(self.mapper.keyframes)
 
     def artifacts(self) -> dict[str, Any]:
@@ -94,6 +97,7 @@ class VoxSystem:
         return {**learned, "truncation_m": settings.truncation_m, "losses": list(self.mapper.losses)}
 
     def state_dict(self) -> dict[str, Any]:
+        """Model, mapper and random generators, as plain tensors and containers."""
         return {
             "model": self.model.state_dict(),
             "mapper": self.mapper.state_dict(),
@@ -101,6 +105,7 @@ class VoxSystem:
         }
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
+        """Continue from what `state_dict` returned."""
         self.model.load_state_dict(state["model"])
         self.mapper.load_state_dict(state["mapper"])
         own, starts = state["generators"]

@@ -37,6 +37,7 @@ class VoxView:
         return view.to(device)
 
     def to(self, device: torch.device) -> VoxView:
+        """The same view, its tensors on `device`."""
         return VoxView(self.index, *(part.to(device) for part in list(vars(self).values())[1:]))
 
     def placed(self, T_world_camera: Any) -> VoxView:
