@@ -21,8 +21,6 @@ TEMPLATES = sorted((ROOT / ".github").rglob("*.md"))
 GENERATED = ("cli.md", "config.md")
 MAX_LINES = {"README.md": 120, "docs/results.md": 250}
 MAX_LINE_LENGTH = 120  # outside tables and code
-# Pages whose lines are still longer; this list only shrinks.
-LONG_LINES = {"docs/baselines.md", "docs/pretraining.md", "docs/synth.md", "docs/uncle-paper.md"}
 
 
 def of_page(path: Path) -> str:
@@ -108,7 +106,7 @@ def test_pages_are_short_and_narrow(page):
     assert len(text.splitlines()) <= MAX_LINES.get(of_page(page), 500)
     prose = re.sub(r"```.*?```", "", text, flags=re.DOTALL).splitlines()
     long = [line for line in prose if len(line) > MAX_LINE_LENGTH and not line.startswith("|")]
-    assert bool(long) == (of_page(page) in LONG_LINES), long or "remove it from LONG_LINES"
+    assert long == []
 
 
 @pytest.mark.parametrize("page", PAGES, ids=of_page)
