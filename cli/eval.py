@@ -45,7 +45,7 @@ if TYPE_CHECKING:
     help="Number of new views for the depth error, 0 for none.  [default: 100; paper: 1000]",
 )  # fmt: skip
 @click.option(
-    "--error-mesh", metavar="FILE.ply", type=click.Path(path_type=Path, dir_okay=False),
+    "--error-mesh", metavar="FILE", type=click.Path(path_type=Path, dir_okay=False),
     help="Write the mesh coloured by its distance to the ground truth, up to the largest threshold.",
 )  # fmt: skip
 @click.option(
@@ -66,7 +66,7 @@ def command(
     as_json: bool,
     **options: Any,
 ) -> None:
-    """Score MESH against the ground-truth mesh GT, TRAJECTORY against the true trajectory GT, or a whole run.
+    """Score MESH against the true mesh or point cloud GT, TRAJECTORY against the true trajectory GT, or a whole run.
 
     Trajectories are text files (.txt) in the TUM format. Without arguments the run is scored: its mesh (only what the
     cameras saw), its trajectory and the sigmas of the tracker, depth and colour of frames held out of the map, and its
@@ -87,7 +87,7 @@ def command(
     thresholds = tuple(dict.fromkeys(options.pop("thresholds")))
     settings = EvaluationSettings(thresholds_m=thresholds, **options)
     if mesh is not None and gt is not None:
-        _evaluate_mesh(mesh, gt, settings, cull, error_mesh, as_json)
+        _evaluate_mesh(ctx, mesh, gt, settings, cull, error_mesh, as_json)
     else:
         _evaluate_run(ctx, run_path, settings, error_mesh, plot, as_json)
 
@@ -130,21 +130,22 @@ def _evaluate_trajectory(ctx: click.Context, estimate: Path, reference: Path, pl
 
 
 def _evaluate_mesh(
-    mesh: Path, gt: Path, settings: EvaluationSettings, cull: Path | None, error_mesh: Path | None, as_json: bool
-) -> None:
+    ctx: click.Context, mesh: Path, gt: Path, settings: EvaluationSettings, cull: Path | None,
+    error_mesh: Path | None, as_json: bool,
+) -> None:  # fmt: skip
     from ..recon.core.json_values import to_plain
     from ..recon.run.directory import RunDirectory
     from ..recon.stages.evaluate import evaluate_mesh_file
     from ..recon.visualization.run_tables import remarks, surface_table
 
     run = RunDirectory(cull) if cull is not None else None
-    metrics = evaluate_mesh_file(mesh, gt, settings, cull=run, error_mesh=error_mesh)
+    metrics = evaluate_mesh_file(mesh, gt, settings, cull=run, error_mesh=error_mesh, on_event=listener(ctx))
     if as_json:
         paths = {"mesh_path": str(mesh), "gt_path": str(gt), "cull": str(cull) if cull is not None else None}
         print_json(paths | to_plain(metrics))
         return
     _print_table(surface_table(f"{mesh.name} against {gt.name}", metrics))
-    for line in remarks(metrics.skipped, (metrics.mesh.note,) if metrics.mesh.note else ()):
+    for line in remarks(metrics.skipped, metrics.notes):
         click.echo(line)
 
 

@@ -20,14 +20,15 @@ from .options import overwrite_option, run_option
 @click.option("--max-sigma", type=click.FloatRange(min=0.0, min_open=True), default=None, metavar="METRES",
               help="Leave out vertices whose 1-sigma error is larger than this.")  # fmt: skip
 @click.option("--min-confidence", type=click.FloatRange(min=0.0, min_open=True), hidden=True)  # its former name
-@click.option("--out", type=click.Path(path_type=Path, dir_okay=False), default=None, help="Default: RUN/mesh.ply.")
+@click.option("--out", type=click.Path(path_type=Path, dir_okay=False), default=None,
+              help="PLY, OBJ, STL, OFF, glTF or GLB file. Default: RUN/mesh.ply.")  # fmt: skip
 @overwrite_option
 @click.pass_context
 def command(
     ctx: click.Context, run_path: Path, voxel: float | None, clean: bool | None, max_sigma: float | None,
     min_confidence: float | None, out: Path | None, overwrite: bool,
 ) -> None:  # fmt: skip
-    """Extract the surface of a finished map as PLY: colour, and sigma (expected error, metres) per vertex."""
+    """Extract the surface of a finished map: colour, and in PLY sigma (expected error, metres), per vertex."""
     from ..recon.core.events import Note
     from ..recon.run.directory import RunDirectory
     from ..recon.stages.mesh import mesh_run

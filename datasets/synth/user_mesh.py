@@ -9,11 +9,12 @@ import numpy as np
 import open3d as o3d
 
 from ...recon.core.errors import DataError
+from ...recon.core.mesh import Mesh
 from .scene import Scene
 
 _WHITE = np.full((4, 4, 3), 255, dtype=np.uint8)
 _Z_UP_FROM_Y_UP = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
-_ADVICE = "give a GLB, glTF, OBJ or PLY file of triangles, in metres"
+_MAX_AREA_DIFFERENCE = 1e-3  # ratio, between two readers of the same file
 
 
 @dataclass(frozen=True)
@@ -28,16 +29,18 @@ class _Part:
 def load_scene(path: Path, up: str = "z") -> Scene:
     """Read a mesh; `up` is "z" or "y" (as in glTF), the result has z up. Raises DataError."""
     path = Path(path)
-    if not path.is_file():
-        raise DataError(f"there is no mesh at {path}")
+    mesh = Mesh.load(path)
     with o3d.utility.VerbosityContextManager(o3d.utility.VerbosityLevel.Error):
-        parts = _model_parts(path) or _plain_parts(path)
+        parts = _model_parts(path)
     if not parts:
-        raise DataError(f"{path} holds no triangles: not a mesh, or an empty one; {_ADVICE}")
-    scene = _joined(parts, up)
-    if not np.isfinite(scene.vertices).all():
-        raise DataError(f"{path} has vertices that are not finite; repair the mesh first")
-    return scene
+        return _joined([_plain_part(mesh)], up)
+    areas = [_plain_part(mesh).mesh.get_surface_area(), sum(part.mesh.get_surface_area() for part in parts)]
+    if abs(areas[0] - areas[1]) > _MAX_AREA_DIFFERENCE * areas[0]:
+        raise DataError(
+            f"{path}: only {areas[1]:.4g} of {areas[0]:.4g} square metres can be read with their materials; "
+            "triangulate the mesh and export it as GLB"
+        )
+    return _joined(parts, up)
 
 
 def _model_parts(path: Path) -> list[_Part]:
@@ -62,9 +65,14 @@ def _model_parts(path: Path) -> list[_Part]:
     return parts
 
 
-def _plain_parts(path: Path) -> list[_Part]:
-    mesh = o3d.io.read_triangle_mesh(str(path))
-    return [_Part(mesh, None, np.ones(3))] if mesh.has_triangles() else []
+def _plain_part(mesh: Mesh) -> _Part:
+    """The mesh without materials, in the colours of its vertices."""
+    plain = o3d.geometry.TriangleMesh(
+        o3d.utility.Vector3dVector(mesh.vertices.astype(float)), o3d.utility.Vector3iVector(mesh.faces)
+    )
+    if mesh.colors is not None:
+        plain.vertex_colors = o3d.utility.Vector3dVector(mesh.colors / 255)
+    return _Part(plain, None, np.ones(3))
 
 
 def _rgb(image: np.ndarray) -> np.ndarray:

@@ -1,14 +1,16 @@
-"""Questions to a triangle mesh: distance to it, rays against it, samples of it."""
+"""Questions to a surface: distance to it, rays against it, samples of it."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import TYPE_CHECKING
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 from .camera import Camera
 from .errors import DataError
-from .mesh import Mesh
+from .mesh import Mesh, PointCloud
 
 if TYPE_CHECKING:
     import open3d as o3d
@@ -75,6 +77,22 @@ class Surface:
         rays = np.concatenate([np.broadcast_to(origins, directions.shape), directions], axis=-1).astype(np.float32)
         answer: dict[str, o3d.core.Tensor] = self._scene.cast_rays(rays)
         return answer
+
+
+def distance_to(surface: Mesh | PointCloud) -> Callable[[np.ndarray], np.ndarray]:
+    """The function (N, 3) points -> (N,) distance to the triangles of a mesh, or to the nearest point of a cloud, m."""
+    if isinstance(surface, Mesh):
+        return Surface(surface).distance
+    tree = cKDTree(surface.points)
+    return lambda points: np.asarray(tree.query(points)[0], dtype=np.float32)
+
+
+def sample_points(surface: Mesh | PointCloud, count: int, rng: np.random.Generator) -> np.ndarray:
+    """(N, 3) float64: `count` samples of a mesh (`sample_surface`), or the points of a cloud, `count` at most."""
+    if isinstance(surface, Mesh):
+        return sample_surface(surface, count, rng)
+    points = surface.points.astype(np.float64)
+    return points if len(points) <= count else points[rng.choice(len(points), count, replace=False)]
 
 
 def sample_surface(mesh: Mesh, count: int, rng: np.random.Generator) -> np.ndarray:

@@ -113,7 +113,7 @@ def novel_view_depth(
     """Depth L1 from views inside the reference, both meshes in one frame, metres.
 
     `seen_reference` (M, 3): points of the reference that a camera saw; pixels that show other parts are left out.
-    Raises DataError if no usable view is found.
+    Raises DataError if no usable view is found, or none shows the reference within the range of depth.
     """
     parameters, camera = settings.parameters, settings.parameters.camera
     surface, target = Surface(mesh), Surface(reference)
@@ -128,6 +128,8 @@ def novel_view_depth(
         rendered = depth[compared] > 0
         sums.append((difference.sum(), difference[rendered].sum(), len(difference), rendered.sum()))
     total, _, pixels, pixels_rendered = np.sum(sums, axis=0)
+    if pixels == 0:
+        raise DataError(f"no view shows the reference mesh within {parameters.max_depth_m:g} m")
     return NovelViewDepth(
         l1_all_m=float(total / pixels),
         l1_rendered_m=_l1_where_rendered(np.array(sums), parameters),

@@ -13,8 +13,8 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from ..core.errors import DataError
-from ..core.mesh import Mesh
-from ..core.mesh_raycaster import Surface, sample_surface
+from ..core.mesh import Mesh, PointCloud
+from ..core.mesh_raycaster import Surface, distance_to, sample_points, sample_surface
 
 ScoringProtocol = Literal["standard", "paper"]
 CompletenessTarget = Literal["samples", "surface"]
@@ -110,7 +110,7 @@ class MeshMetrics:
 
 def evaluate_mesh(
     mesh: Mesh,
-    reference: Mesh,
+    reference: Mesh | PointCloud,
     options: MeshScoringOptions = DEFAULT_OPTIONS,
     *,
     visible: PointFilter | None = None,
@@ -119,17 +119,23 @@ def evaluate_mesh(
 ) -> MeshMetrics:
     """Score `mesh` against `reference`, both in metres in the same frame.
 
+    The points of a cloud stand for its surface: they are the samples of the reference, and distances end at the nearest
+    one. The protocol "paper" needs a mesh.
+
     visible         keeps the predicted points that a camera could see; the others are not scored
     seen_reference  (M, 3) points of the reference that a camera saw; the others are not scored
 
     An empty mesh, or one without visible points, scores 0 with an explanation in `note`. Raises DataError if no point
-    of the reference is left or a vertex is not finite; ValueError for thresholds or samples that are not positive.
+    of the reference is left, a vertex is not finite, or the protocol needs a mesh; ValueError for thresholds or samples
+    that are not positive.
     """
     _check_options(options)
+    if options.protocol == "paper" and isinstance(reference, PointCloud):
+        raise DataError("the protocol `paper` needs a ground truth with triangles, not a point cloud; use `standard`")
     with_icp = options.protocol == "paper" if options.icp is None else options.icp
     T = align_by_icp(mesh, reference, parameters.icp_distance_m) if with_icp and len(mesh.faces) else np.eye(4)
     aligned = transformed(mesh, T) if with_icp else mesh
-    if options.protocol == "paper":
+    if options.protocol == "paper" and isinstance(reference, Mesh):
         accuracy, completeness = paper_distances(aligned, reference, options.seed, visible, seen_reference, parameters)
         settings = MeshScoringSettings("paper", "samples", None, options.seed, with_icp, visible is not None)
     else:
@@ -155,7 +161,7 @@ def evaluate_mesh(
 
 def standard_distances(
     mesh: Mesh,
-    reference: Mesh,
+    reference: Mesh | PointCloud,
     samples: int,
     seed: int,
     completeness_to: CompletenessTarget = "samples",
@@ -165,12 +171,12 @@ def standard_distances(
     """Distances in metres of area-uniform samples: (N,) mesh -> reference surface, (M,) reference -> mesh."""
     predicted = _keep(sample_surface(mesh, samples, np.random.default_rng([seed, 0])), visible)
     if seen_reference is None:
-        seen_reference = sample_surface(reference, samples, np.random.default_rng([seed, 1]))
+        seen_reference = sample_points(reference, samples, np.random.default_rng([seed, 1]))
     if completeness_to == "surface":
         completeness = Surface(mesh).distance(seen_reference)
     else:
         completeness = nearest_distance(seen_reference, predicted)
-    return Surface(reference).distance(predicted), completeness
+    return distance_to(reference)(predicted), completeness
 
 
 def paper_distances(
@@ -205,12 +211,16 @@ def score_at(threshold_m: float, accuracy: np.ndarray, completeness: np.ndarray)
     return ThresholdScore(float(threshold_m), precision, recall, 2 * precision * recall / total if total > 0 else 0.0)
 
 
-def align_by_icp(mesh: Mesh, reference: Mesh, distance_m: float = DEFAULT_PARAMETERS.icp_distance_m) -> np.ndarray:
+def align_by_icp(
+    mesh: Mesh, reference: Mesh | PointCloud, distance_m: float = DEFAULT_PARAMETERS.icp_distance_m
+) -> np.ndarray:
     """(4, 4) T_reference_mesh by point-to-point ICP on the vertices, starting from the identity."""
     import open3d as o3d
 
+    target = reference.vertices if isinstance(reference, Mesh) else reference.points
     clouds = [
-        o3d.geometry.PointCloud(o3d.utility.Vector3dVector(m.vertices.astype(np.float64))) for m in (mesh, reference)
+        o3d.geometry.PointCloud(o3d.utility.Vector3dVector(points.astype(np.float64)))
+        for points in (mesh.vertices, target)
     ]
     registration = o3d.pipelines.registration
     estimation = registration.TransformationEstimationPointToPoint()
@@ -224,11 +234,11 @@ def transformed(mesh: Mesh, T_target_mesh: np.ndarray) -> Mesh:
     return replace(mesh, vertices=vertices.astype(np.float32))
 
 
-def color_by_distance(mesh: Mesh, reference: Mesh, limit_m: float, colormap: str = "turbo") -> Mesh:
+def color_by_distance(mesh: Mesh, reference: Mesh | PointCloud, limit_m: float, colormap: str = "turbo") -> Mesh:
     """`mesh` with its vertices coloured by their distance to the reference; the colour scale ends at `limit_m`."""
     import matplotlib
 
-    distance = Surface(reference).distance(mesh.vertices)
+    distance = distance_to(reference)(mesh.vertices)
     ratio = np.clip(distance / limit_m, 0.0, 1.0)
     return replace(mesh, colors=np.round(matplotlib.colormaps[colormap](ratio)[:, :3] * 255).astype(np.uint8))
 

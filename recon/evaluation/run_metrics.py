@@ -18,7 +18,7 @@ from ..core.json_values import to_plain
 from ..run.directory import RunDirectory
 from ..run.frames import RunFrames
 from ..run.manifest import Manifest
-from ..run.meshes import load_reference_mesh, load_run_mesh
+from ..run.meshes import load_reference_surface, load_run_mesh
 from .color_metrics import HeldOutColor, held_out_color
 from .depth_metrics import HeldOutDepth, held_out_depth
 from .run_trajectory import score_tracking, score_trajectory
@@ -65,7 +65,7 @@ def score_run(
     manifest, frames = run.load_manifest(), RunFrames(run)
     skipped: dict[str, str] = {}
     on_event(Note("scoring the mesh and the trajectory"))
-    surface = score_or_skip("mesh", skipped, lambda: _score_run_mesh(run, settings))
+    surface = score_or_skip("mesh", skipped, lambda: _score_run_mesh(run, settings, on_event))
     trajectory = score_or_skip("trajectory", skipped, lambda: score_trajectory(run))
     tracking = score_or_skip("tracking", skipped, lambda: score_tracking(run))
     held_out, color = _score_held_out(run, manifest, frames, skipped, on_event)
@@ -89,8 +89,8 @@ def score_run(
     )
 
 
-def _score_run_mesh(run: RunDirectory, settings: EvaluationSettings) -> SurfaceMetrics:
-    reference = load_reference_mesh(run)
+def _score_run_mesh(run: RunDirectory, settings: EvaluationSettings, on_event: OnEvent) -> SurfaceMetrics:
+    reference = load_reference_surface(run, on_event)
     return score_surface(load_run_mesh(run), reference, settings, Visibility.of_run(run))
 
 
@@ -166,9 +166,9 @@ def _sensors_with_beta(run: RunDirectory, manifest: Manifest, skipped: dict[str,
 def _notes(
     surface: SurfaceMetrics | None, trajectory: TrajectoryMetrics | None, tracking: TrackingMetrics | None
 ) -> tuple[str, ...]:
-    notes = []
-    if surface is not None and surface.mesh.note:
-        notes.append(surface.mesh.note)
+    notes: list[str] = []
+    if surface is not None:
+        notes += surface.notes
     if trajectory is not None and tracking is None and trajectory.ate_m.max < MAX_GIVEN_POSE_ERROR_M:
         notes.append("the camera poses were given, not estimated: the trajectory errors have no meaning")
     return tuple(notes)

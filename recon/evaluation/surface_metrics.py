@@ -8,15 +8,18 @@ from pathlib import Path
 from typing import TypeVar
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 from ..core.errors import DataError, UncleError
-from ..core.mesh import Mesh
+from ..core.mesh import Mesh, PointCloud
 from .depth_metrics import NEW_VIEW_PARAMETERS, NovelViewDepth, ViewSettings, novel_view_depth
 from .mesh_metrics import MeshMetrics, MeshScoringOptions, color_by_distance, evaluate_mesh, transformed
+from .placement import placement_doubts
 from .vertex_sigma_metrics import VertexSigmaMetrics, evaluate_vertex_sigma
 from .visibility import Visibility
 
 T = TypeVar("T")
+MAX_SPACING_SAMPLES = 10_000  # points of a cloud from which its spacing is found
 
 
 @dataclass(frozen=True)
@@ -40,16 +43,18 @@ DEFAULT_SETTINGS = EvaluationSettings()
 
 @dataclass(frozen=True)
 class SurfaceMetrics:
-    """Scores of one mesh against one reference. `skipped`: part -> why it was not scored."""
+    """Scores of one mesh against one reference. `skipped`: part -> why it was not scored; `notes`: what to know of the
+    figures, one line each."""
 
     mesh: MeshMetrics
     novel_views: NovelViewDepth | None
     vertex_sigma: VertexSigmaMetrics | None
     skipped: dict[str, str]
+    notes: tuple[str, ...] = ()
 
 
 def score_surface(
-    mesh: Mesh, reference: Mesh, settings: EvaluationSettings, cull: Visibility | None = None
+    mesh: Mesh, reference: Mesh | PointCloud, settings: EvaluationSettings, cull: Visibility | None = None
 ) -> SurfaceMetrics:
     """Score `mesh` against `reference`; with `cull` only what the cameras saw. Raises DataError."""
     visible = cull.is_visible if cull is not None else None
@@ -58,6 +63,12 @@ def score_surface(
     skipped: dict[str, str] = {}
     aligned = aligned_as_scored(mesh, metrics)
     novel_views = None
+    vertex_sigma = None
+    notes = (*placement_doubts(mesh, reference), *((metrics.note,) if metrics.note else ()))
+    if isinstance(reference, PointCloud):
+        skipped["novel_views"] = "the ground truth is a point cloud, which cannot be rendered"
+        skipped["vertex_sigma"] = "the ground truth is a point cloud: distances to it are not those to its surface"
+        return SurfaceMetrics(metrics, None, None, skipped, (*notes, _note_on_cloud(reference, metrics)))
     if settings.view_settings.views == 0:
         skipped["novel_views"] = "no views were asked for (--views 0)"
     else:
@@ -65,7 +76,17 @@ def score_surface(
             "novel_views", skipped, lambda: novel_view_depth(aligned, reference, settings.view_settings, seen_reference)
         )
     vertex_sigma = score_or_skip("vertex_sigma", skipped, lambda: evaluate_vertex_sigma(aligned, reference, visible))
-    return SurfaceMetrics(metrics, novel_views, vertex_sigma, skipped)
+    return SurfaceMetrics(metrics, novel_views, vertex_sigma, skipped, notes)
+
+
+def _note_on_cloud(cloud: PointCloud, metrics: MeshMetrics) -> str:
+    """What the points of a cloud mean for the figures: they are the surface only up to their spacing."""
+    points = cloud.points[:: max(1, len(cloud.points) // MAX_SPACING_SAMPLES)].astype(np.float64)
+    nearest = np.asarray(cKDTree(cloud.points).query(points, k=[min(2, len(cloud.points))])[0])
+    return (
+        f"the ground truth is a cloud of {len(cloud.points)} points, {metrics.reference_points} of them scored; "
+        f"accuracy is measured to the nearest, so the spacing (median {np.median(nearest) * 100:.2g} cm) is part of it"
+    )
 
 
 def aligned_as_scored(mesh: Mesh, metrics: MeshMetrics) -> Mesh:
@@ -73,7 +94,7 @@ def aligned_as_scored(mesh: Mesh, metrics: MeshMetrics) -> Mesh:
     return transformed(mesh, np.array(metrics.T_reference_mesh)) if metrics.settings.icp else mesh
 
 
-def write_error_mesh(path: Path, mesh: Mesh, reference: Mesh, metrics: MeshMetrics | None) -> None:
+def write_error_mesh(path: Path, mesh: Mesh, reference: Mesh | PointCloud, metrics: MeshMetrics | None) -> None:
     """Write `mesh`, aligned as it was scored, coloured by its distance to `reference` up to the largest threshold.
 
     Raises DataError if the mesh was not scored, RunError if the file cannot be written.

@@ -11,7 +11,7 @@ import numpy as np
 from ..core.camera import project_into
 from ..core.errors import DataError, RunError
 from ..core.frame import GROUND_TRUTH_SENSOR
-from ..core.mesh import Mesh
+from ..core.mesh import Mesh, PointCloud
 from ..core.mesh_raycaster import Surface
 from ..run.directory import RunDirectory
 from ..run.frames import RunFrames
@@ -86,16 +86,20 @@ class Visibility:
                 break
         return visible
 
-    def reference_points(self, reference: Mesh) -> np.ndarray:
+    def reference_points(self, reference: Mesh | PointCloud) -> np.ndarray:
         """(M, 3) points of the reference surface that the frames saw, one in each voxel.
 
         They are back-projected from the ground-truth depth where the run has it. Elsewhere the reference is rendered
-        at the poses of the run and kept in the pixels where a sensor has a measurement.
+        at the poses of the run and kept in the pixels where a sensor has a measurement; of a point cloud the visible
+        points are taken.
         """
-        surface = None if self.has_true_depth else Surface(reference)
+        if isinstance(reference, PointCloud) and not self.has_true_depth:
+            points = reference.points.astype(np.float64)
+            return voxel_means(points[self.is_visible(points)], self.parameters.reference_voxel_m)
+        surface = Surface(reference) if isinstance(reference, Mesh) and not self.has_true_depth else None
         stride = self._stride()
         rays = self.frames.camera.rays().numpy()[::stride, ::stride]
-        points = [np.zeros((0, 3))]
+        seen = [np.zeros((0, 3))]
         for T_world_camera, depths in self._views():
             depth = np.max(depths, axis=0)[::stride, ::stride]
             if surface is not None:
@@ -103,8 +107,8 @@ class Visibility:
                 depth = np.where(depth > 0, rendered, 0.0)
             valid = depth > 0
             local = rays[valid] * depth[valid][:, None]
-            points.append(local @ T_world_camera[:3, :3].T + T_world_camera[:3, 3])
-        return voxel_means(np.concatenate(points), self.parameters.reference_voxel_m)
+            seen.append(local @ T_world_camera[:3, :3].T + T_world_camera[:3, 3])
+        return voxel_means(np.concatenate(seen), self.parameters.reference_voxel_m)
 
     def _stride(self) -> int:
         """Pixels between the samples of the seen reference."""

@@ -5,7 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 
 from ..core.errors import DataError, RunError
-from ..core.mesh import Mesh
+from ..core.events import OnEvent, ignore
+from ..core.mesh import Mesh, PointCloud, load_surface
 from .directory import RunDirectory
 
 
@@ -18,13 +19,22 @@ def load_run_mesh(run: RunDirectory) -> Mesh:
 
 
 def load_reference_mesh(run: RunDirectory) -> Mesh:
-    """The ground-truth mesh of the data set. Raises DataError if there is none or the file is gone."""
+    """The ground-truth mesh of the data set. Raises DataError if there is none, or it is a point cloud."""
+    return Mesh.load(_reference_path(run))
+
+
+def load_reference_surface(run: RunDirectory, on_event: OnEvent = ignore) -> Mesh | PointCloud:
+    """The ground-truth mesh or point cloud of the data set. Raises DataError if there is none or the file is gone."""
+    return load_surface(_reference_path(run), on_event)
+
+
+def _reference_path(run: RunDirectory) -> Path:
     reference = run.load_manifest().reference_mesh
     if reference is None:
         raise DataError("the data set has no ground-truth mesh")
     if not Path(reference).is_file():
         raise DataError(f"the ground-truth mesh {reference} no longer exists")
-    return Mesh.load(Path(reference))
+    return Path(reference)
 
 
 def has_reference_mesh(run: RunDirectory) -> bool:

@@ -8,7 +8,8 @@ from pathlib import Path
 
 from ..core.errors import DataError
 from ..core.events import Note, OnEvent, Warn, ignore
-from ..core.mesh import Mesh
+from ..core.mesh import Mesh, load_surface
+from ..core.mesh_files.writer import require_writable_suffix
 from ..core.trajectory import Trajectory
 from ..evaluation.run_metrics import RunMetrics, score_run
 from ..evaluation.surface_metrics import (
@@ -22,7 +23,7 @@ from ..evaluation.trajectory_metrics import TrajectoryMetrics, evaluate_trajecto
 from ..evaluation.trajectory_pair import CameraPath
 from ..evaluation.visibility import Visibility
 from ..run.directory import RunDirectory
-from ..run.meshes import load_reference_mesh
+from ..run.meshes import load_reference_surface
 from ..visualization.trajectory_charts import draw_camera_path
 from .base import StageSummary
 
@@ -52,11 +53,13 @@ def evaluate_run(
     Raises RunError if there is no run or nothing in it can be scored, DataError if an error mesh cannot be made.
     """
     started = time.time()
+    if error_mesh is not None:
+        require_writable_suffix(error_mesh)
     metrics = score_run(run, settings, on_event)
     metrics.save(run.metrics_path)
     if error_mesh is not None:
         mesh_metrics = metrics.surface.mesh if metrics.surface is not None else None
-        write_error_mesh(error_mesh, Mesh.load(run.mesh_path), load_reference_mesh(run), mesh_metrics)
+        write_error_mesh(error_mesh, Mesh.load(run.mesh_path), load_reference_surface(run), mesh_metrics)
     if metrics.trajectory is not None or metrics.tracking is not None:
         try:
             _draw(CameraPath.of_run(run), plots or run.snapshots_path, on_event)
@@ -72,12 +75,15 @@ def evaluate_mesh_file(
     *,
     cull: RunDirectory | None = None,
     error_mesh: Path | None = None,
+    on_event: OnEvent = ignore,
 ) -> SurfaceMetrics:
-    """Score one mesh file against another; with `cull` only what the cameras of that run saw.
+    """Score a mesh file against another one or a point cloud; with `cull` only what the cameras of that run saw.
 
     Raises DataError, RunError.
     """
-    mesh, reference = Mesh.load(mesh_path), Mesh.load(reference_path)
+    if error_mesh is not None:
+        require_writable_suffix(error_mesh)
+    mesh, reference = Mesh.load(mesh_path, on_event), load_surface(reference_path, on_event)
     visibility = Visibility.of_run(cull) if cull is not None else None
     metrics = score_surface(mesh, reference, settings, visibility)
     if error_mesh is not None:

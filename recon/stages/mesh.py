@@ -6,7 +6,8 @@ import time
 from dataclasses import dataclass
 from pathlib import Path
 
-from ..core.events import OnEvent, ignore
+from ..core.events import Note, OnEvent, ignore
+from ..core.mesh_files.writer import require_writable_suffix
 from ..core.trajectory import Trajectory
 from ..methods.registry import method_specs
 from ..run.directory import RunDirectory
@@ -31,13 +32,17 @@ def mesh_run(
     run: RunDirectory, *, voxel_size_m: float | None = None, clean: bool | None = None,
     max_sigma_m: float | None = None, out: Path | None = None, overwrite: bool = False, on_event: OnEvent = ignore,
 ) -> MeshSummary:  # fmt: skip
-    """Write the mesh of a finished map to `out` (default RUN/mesh.ply). Raises RunError, DataError.
+    """Write the mesh of a finished map to `out` (default RUN/mesh.ply), in the format of its suffix.
+
+    Raises RunError, before any work if there is no such format, and DataError.
 
     voxel_size_m   cell size of marching cubes; None: that of the map
     clean          keep only what the cameras saw and drop small loose parts; None: as the method has it
                    (`MethodSpec.clean_mesh`)
     max_sigma_m    leave out vertices with a larger sigma
     """
+    if out is not None:
+        require_writable_suffix(out)
     map_record = run.require_stage("map")
     if clean is None:
         spec = method_specs().get(str(map_record.facts.get("method")))  # None: its package is not installed
@@ -50,6 +55,8 @@ def mesh_run(
     poses = Trajectory.load(run.trajectory_path).T_world_camera
     mesh = make_mesh(load_field(run), run.load_camera(), list(poses), voxel_size_m, clean, max_sigma_m, on_event)
     mesh.save(path)
+    if mesh.sigma is not None and path.suffix.lower() != ".ply":
+        on_event(Note(f"{path} holds no sigma of its vertices: only PLY can"))
     if out is None:
         facts = {"voxel_size_m": voxel_size_m, "clean": clean, "max_sigma_m": max_sigma_m}
         facts |= {"vertices": len(mesh.vertices), "faces": len(mesh.faces)}

@@ -2,6 +2,7 @@
 
 import json
 import time
+import warnings
 from dataclasses import replace
 
 import numpy as np
@@ -9,6 +10,7 @@ import pytest
 from click.testing import CliRunner, Result
 from uncle.cli.main import main
 from uncle.recon.core.mesh import Mesh
+from uncle.recon.core.mesh_raycaster import sample_surface
 from uncle.recon.core.trajectory import Trajectory
 from uncle.recon.run.tracking_record import TrackedFrame, TrackingRecord
 
@@ -79,6 +81,36 @@ def test_error_mesh_is_written_in_colour(meshes, tmp_path):
     assert Mesh.load(target).colors.shape == (8, 3)
 
 
+def test_a_point_cloud_is_a_ground_truth(meshes, tmp_path, box_room, run):
+    """Points on the walls: the mesh, 1 cm off, lies 1 cm from each, and further from its nearest by their spacing."""
+    points = sample_surface(box_room.mesh(), 20_000, np.random.default_rng(5))
+    np.savetxt(tmp_path / "cloud.xyz", points)
+    result = uncle(meshes[0], tmp_path / "cloud.xyz", "--completeness-to", "surface", "--json", *FAST)
+    assert result.exit_code == 0, result.output
+    stored = json.loads(result.stdout)
+    assert stored["mesh"]["completeness_mean_m"] == pytest.approx(0.01, abs=1e-3)
+    assert 0.01 < stored["mesh"]["accuracy_mean_m"] < 0.06
+    assert stored["mesh"]["reference_points"] == 5000
+    assert "cloud of 20000 points, 5000 of them scored" in stored["notes"][0]
+    assert set(stored["skipped"]) == {"novel_views", "vertex_sigma"}
+    options = ["--completeness-to", "surface", "--cull", run.root, "--json"]
+    culled = json.loads(uncle(meshes[0], tmp_path / "cloud.xyz", *options, *FAST).stdout)
+    assert culled["mesh"]["settings"]["culled"]
+    assert culled["mesh"]["scores"][0]["recall"] == 1.0
+
+
+def test_a_ground_truth_in_millimetres_is_named(meshes, tmp_path, box_room):
+    truth = box_room.mesh()
+    replace(truth, vertices=truth.vertices * 1000).save(tmp_path / "mm.ply")
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        result = uncle(meshes[0], tmp_path / "mm.ply", *FAST)
+    assert result.exit_code == 0, result.output
+    assert "times that of the mesh" in result.stdout
+    assert "in millimetres; divide its coordinates by 1000" in result.stdout
+    assert "nan" not in result.output
+
+
 def test_run_is_scored_and_the_figures_kept(run):
     result = uncle("--run", run.root, *FAST)
     assert result.exit_code == 0, result.output
@@ -117,6 +149,10 @@ def _empty_mesh(folder):
         (["mesh.ply", "absent.ply"], 1, "there is no mesh at"),
         (["empty.ply", "gt.ply"], 1, "holds no triangles"),
         (["mesh.ply", "empty.ply"], 1, "holds no triangles"),
+        (["points.xyz", "gt.ply"], 1, "points.xyz holds no triangles, only 3 points"),
+        (["mesh.ply", "points.xyz", "--protocol", "paper"], 1, "needs a ground truth with triangles"),
+        (["mesh.ply", "broken.obj"], 1, "broken.obj: 1 of 3 vertices are not finite"),
+        (["mesh.ply", "gt.ply", "--error-mesh", "error.foo"], 1, ".foo is no mesh format that is written"),
         (["mesh.ply"], 2, "give both MESH and GT"),
         (["mesh.ply", "gt.ply", "--cull", "nowhere"], 1, "holds no run"),
         (["--run", "nowhere"], 1, "holds no run"),
@@ -127,7 +163,10 @@ def _empty_mesh(folder):
 )
 def test_mistakes_end_in_one_line(meshes, tmp_path, arguments, code, message):
     _empty_mesh(tmp_path)
-    paths = [tmp_path / a if a.endswith(".ply") or a == "nowhere" else a for a in arguments]
+    (tmp_path / "points.xyz").write_text("0 0 0\n1 0 0\n0 1 0\n")
+    (tmp_path / "broken.obj").write_text("v 0 0 0\nv 1 0 0\nv 0 nan 0\nf 1 2 3\n")
+    files = (".ply", ".xyz", ".obj", ".foo")
+    paths = [tmp_path / a if a.endswith(files) or a == "nowhere" else a for a in arguments]
     result = uncle(*paths)
     assert result.exit_code == code
     assert message in result.output

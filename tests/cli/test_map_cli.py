@@ -78,11 +78,21 @@ def test_mesh_is_redone_only_where_something_changed(run):
     elsewhere = run.root.parent / "other.ply"
     assert "Wrote" in uncle("mesh", "--run", run.root, "--voxel", "0.08", "--out", elsewhere).stderr
     assert len(Mesh.load(elsewhere).vertices) == coarse
+    glb = uncle("mesh", "--run", run.root, "--voxel", "0.08", "--out", run.root.parent / "other.glb")
+    assert "other.glb holds no sigma" in glb.stderr
+    assert (run.root.parent / "other.glb").read_bytes().startswith(b"glTF")
+    np.testing.assert_array_equal(Mesh.load(run.root.parent / "other.glb").faces, Mesh.load(elsewhere).faces)
     assert "done and unchanged" in uncle("mesh", "--run", run.root, "--no-clean").stderr  # --out is no stage
     message = one_line(uncle("mesh", "--run", run.root, "--max-sigma", "1e-9"))
     assert "larger --max-sigma" in message
     run.mesh_path.unlink()
     assert "Wrote" in uncle("mesh", "--run", run.root, "--no-clean").stderr
+
+
+def test_a_mesh_format_that_is_not_written_is_refused_before_any_work(run):
+    """The run has no map yet: nobody looked for it."""
+    message = one_line(uncle("mesh", "--run", run.root, "--out", run.root.parent / "other.fbx"))
+    assert ".fbx is no mesh format that is written; choose one of .ply, .obj" in message
 
 
 def test_vertices_that_are_not_sure_enough_are_left_out(run):

@@ -8,6 +8,7 @@ import pytest
 import torch
 from uncle.recon.core.camera import project_into
 from uncle.recon.core.errors import DataError, RunError
+from uncle.recon.core.mesh import PointCloud
 from uncle.recon.core.mesh_raycaster import Surface
 from uncle.recon.evaluation.visibility import Visibility, VisibilityParameters, voxel_means
 from uncle.recon.run.directory import RunDirectory
@@ -36,6 +37,13 @@ def test_reference_points_lie_on_the_reference_whatever_the_sensor(make_box_run,
     distance = Surface(box_room.mesh()).distance(points)
     assert np.quantile(distance, 0.9) < (0.002 if "gt" in sensors else 1e-4)  # depth is stored in whole millimetres
     assert distance.max() < 0.008  # a mean over a corner of the room lies off both walls, by half a voxel at most
+
+
+def test_of_a_point_cloud_the_visible_points_are_the_reference(make_box_run):
+    visibility = Visibility.of_run(make_box_run(("noisy",), angles=np.array([0.0])))
+    cloud = PointCloud(np.array([[3.9, 1.5, 1.2], [0.1, 1.5, 1.2], [3.9, 1.5, 2.4], [2, 1.5, 1.3]], np.float32))
+    points = visibility.reference_points(cloud)  # the second is behind the camera
+    np.testing.assert_allclose(points[np.argsort(points[:, 0] + points[:, 2])], cloud.points[[3, 0, 2]], atol=1e-6)
 
 
 def test_ground_truth_alone_decides_where_it_exists(make_box_run):

@@ -132,9 +132,9 @@ def test_broken_parts_cost_their_section_only(full_run):
     full_run.curves_path.write_text("[1]")
     events = []
     page = report_run(full_run, "raycast", events.append).read_text()
-    assert "no triangles" in page
+    assert "is no PLY file" in page
     assert "uncle eval" in page
-    assert any("no triangles" in getattr(event, "text", "") for event in events)
+    assert any("is no PLY file" in getattr(event, "text", "") for event in events)
 
 
 def test_no_run_is_an_error(tmp_path):
