@@ -83,7 +83,7 @@ def train_with_encoder(settings: DecoderTraining, device: torch.device) -> Occup
         logits = cube_logits(trainer.decoders, points, {n: interpolate(g, points) for n, g in grids.items()}, generator)
         loss = (
             cube_losses(logits, solid, settings.slope).sum() / solid.numel()
-            + settings.free_weight * trainer._free_loss()
+            + settings.free_weight * trainer.free_loss()
         )
         optimizer.param_groups[0]["lr"] = settings.learning_rate * _schedule(step, settings.steps)
         optimizer.zero_grad()

@@ -62,7 +62,7 @@ def slam(frames: RunFrames, method: str, voxel_m: float) -> Outcome:
     start = o3d.core.Tensor(T_world_camera)
     out = Outcome(o3d.t.pipelines.slam.Model(voxel_m, RESOLUTION, START_BLOCKS, start, DEVICE))
     mapped, clock = 0, time.perf_counter()
-    for index, (depth, color) in enumerate(frames.stream(range(len(frames)), _images)):
+    for index, (depth, color) in enumerate(frames.stream(range(len(frames)), images_of)):
         clock = out.spend("reading", clock)
         seen.set_data_from_image("depth", depth)
         seen.set_data_from_image("color", color)
@@ -109,7 +109,7 @@ def _run_uncle(model, seen, truncation: float) -> bool:
     return True
 
 
-def _images(frame: Frame) -> tuple[o3d.t.geometry.Image, o3d.t.geometry.Image]:
+def images_of(frame: Frame) -> tuple[o3d.t.geometry.Image, o3d.t.geometry.Image]:
     """Depth (mm, 16 bit) and colour. Several sensors: the mean of the readings that there are in a pixel."""
     depths = np.stack([depth.numpy() for depth in frame.depths.values()])
     mean = depths.sum(axis=0) / np.maximum((depths > 0).sum(axis=0), 1)

@@ -179,6 +179,6 @@ def test_open3d_starts_at_the_given_pose_and_outlives_frames_without_depth(room,
 
 def test_open3d_gets_the_mean_of_the_readings_there_are():
     depths = {"sl": torch.tensor([[1.0, 2.0, 0.0]]), "sgm": torch.tensor([[3.0, 0.0, 0.0]])}
-    depth, color = open3d_slam._images(Frame(0, 0.0, torch.zeros(1, 3, 3, dtype=torch.uint8), depths, None))
+    depth, color = open3d_slam.images_of(Frame(0, 0.0, torch.zeros(1, 3, 3, dtype=torch.uint8), depths, None))
     assert depth.as_tensor().numpy()[..., 0].tolist() == [[2000, 2000, 0]]
     assert color.as_tensor().numpy().dtype == np.uint8

@@ -1,3 +1,4 @@
+import json
 from pathlib import Path
 
 import cv2
@@ -111,11 +112,16 @@ def test_motion_of_pictures_is_that_of_the_camera(shaken):
 
 
 def test_pairs_follow_the_delay_and_a_note_reports_it(shaken):
-    recording = open_dataset(shaken(0.045))
+    folder = shaken(0.045)
+    camera = {"width": 160, "height": 120, "fx": 130, "fy": 130, "cx": 79.5, "cy": 59.5, "depth_scale": 5000}
+    (folder / "camera.json").write_text(json.dumps(camera))
+    recording = open_dataset(folder)
     assert any("ms later than the colour that shows the same motion" in note for note in recording.notes)
-    pairs = [(entry.color.stem, entry.depths["depth"].stem) for entry in recording._entries]
-    assert len(pairs) == COUNT
-    assert all(color == depth for color, depth in pairs)
+    assert len(recording) == COUNT
+    for index in range(COUNT):
+        assert recording.timestamp(index) == pytest.approx(100.004 + index / RATE, abs=1e-5)
+        stored = cv2.imread(str(folder / f"depth/{index}.png"), cv2.IMREAD_UNCHANGED)
+        np.testing.assert_allclose(recording.depth(index, "depth").numpy(), stored / 5000, atol=1e-4)
 
 
 def test_unreadable_images_and_clocks_apart_say_nothing(shaken):

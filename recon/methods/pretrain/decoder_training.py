@@ -85,7 +85,7 @@ class DecoderTrainer:
         grids = {name: grid.requires_grad_() for name, grid in self.cubes.grids.values.items()}
         logits = cube_logits(self.decoders, points, self.cubes.features(points), self.cubes.generator)
         losses = cube_losses(logits, solid, settings.slope)
-        loss = losses.sum() + settings.free_weight * self._free_loss() * solid.numel()
+        loss = losses.sum() + settings.free_weight * self.free_loss() * solid.numel()
         gradients = torch.autograd.grad(loss, [*grids.values(), *self.parameters])
         for parameter, gradient in zip(self.parameters, gradients[len(grids) :], strict=True):
             parameter.grad = gradient / solid.numel()
@@ -116,7 +116,7 @@ class DecoderTrainer:
         size = self.settings.cubes // self.settings.groups
         return slice(group * size, (group + 1) * size)
 
-    def _free_loss(self) -> Tensor:
+    def free_loss(self) -> Tensor:
         """Squared distance of the logits of features near zero, as grids start, from a mildly free one."""
         generator, count = self.cubes.generator, self.settings.free_points
         points = (torch.rand(count, 3, generator=generator, device=self.device) * 2 - 1) * WORLD_M

@@ -1,5 +1,6 @@
 """Missing libraries are named together with the command that installs them."""
 
+import ctypes
 import subprocess
 import sys
 from pathlib import Path
@@ -17,8 +18,15 @@ SCRIPT = Path(__file__).parents[3] / "recon" / "core" / "system_check.py"
 def without(monkeypatch):
     """Pretend that some libraries are missing."""
 
-    def hide(*libraries: str) -> None:
-        monkeypatch.setattr(system, "_loads", lambda library: library not in libraries)
+    load = ctypes.CDLL
+
+    def hide(*hidden: str) -> None:
+        def pretend(library, *options):
+            if library in hidden:
+                raise OSError(library)
+            return None if library in {**system.REQUIRED, **system.PICTURES} else load(library, *options)
+
+        monkeypatch.setattr(ctypes, "CDLL", pretend)
 
     return hide
 
@@ -36,9 +44,9 @@ def test_the_complaint_holds_libraries_and_command(without):
     assert "libegl1" not in text
 
 
-def test_a_library_that_is_not_there_does_not_load():
-    assert not system._loads("libnosuchthing.so.9")
-    assert system._loads("libc.so.6")
+def test_a_library_is_missing_if_it_does_not_load(monkeypatch):
+    monkeypatch.setattr(system, "REQUIRED", {"libnosuchthing.so.9": "nosuchthing", "libc.so.6": "libc6"})
+    assert system.missing_packages() == {"libnosuchthing.so.9": "nosuchthing"}
 
 
 def test_the_check_runs_before_anything_is_installed():

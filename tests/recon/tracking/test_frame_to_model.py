@@ -17,7 +17,6 @@ from uncle.recon.tracking.frame_to_model import (
 )
 from uncle.recon.tracking.pose_estimation import minimise
 from uncle.recon.volume.sparse_grid import SparseGrid
-from uncle.recon.volume.tsdf_query import query_numba, query_torch
 from uncle.recon.volume.tsdf_volume import TsdfVolume
 
 CORNER = 0.785  # the angle at which the camera sees a corner of the room
@@ -153,19 +152,3 @@ def test_agreement_and_scale(box_room, corner):
     assert scaled(corner, taken, true).scale == pytest.approx(expected)
     assert scaled(corner, taken, off).scale == 1.0  # never larger
     assert scaled(corner, nothing, true) is nothing
-
-
-def test_compiled_lookup_is_that_of_tensors(box_room, corner):
-    pose = box_room.pose(CORNER)
-    points = readings(box_room, pose, color=False, step=3).points
-    points = points + 0.1 * torch.randn(
-        points.shape, generator=torch.Generator().manual_seed(2)
-    )  # some are off the map
-    T = torch.from_numpy(apply_motion(pose, OFF)).float()
-    expected, found = query_torch(corner, points, T), query_numba(corner, points, T)
-    assert 100 < len(expected.kept) < len(points) - 20
-    assert torch.equal(found.kept, expected.kept)
-    for name in ("sdf", "gradient", "sigma", "grey", "grey_gradient"):
-        torch.testing.assert_close(getattr(found, name), getattr(expected, name), rtol=1e-3, atol=2e-4)
-    nothing = query_numba(corner, points[:0], T)
-    assert len(nothing.kept) == len(nothing.sdf) == 0

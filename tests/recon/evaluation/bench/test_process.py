@@ -40,18 +40,18 @@ def test_threads_are_told_to_the_process():
     assert out.strip() == "3"
 
 
-def test_all_processes_can_be_stopped():
-    failed = []
+def test_all_processes_can_be_stopped(tmp_path):
+    failed, sign = [], tmp_path / "started"
 
     def wait():
         try:
-            process.run_process("sleep", python("import time; print('x', flush=True); time.sleep(60)"))
+            process.run_process("sleep", python(f"import time; open({str(sign)!r}, 'w').close(); time.sleep(60)"))
         except RunError as error:
             failed.append(str(error))
 
     thread = threading.Thread(target=wait)
     thread.start()
-    while not process._running:
+    while not sign.exists():
         assert thread.is_alive()
     try:
         process.stop_all()

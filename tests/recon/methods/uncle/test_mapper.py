@@ -7,6 +7,7 @@ from uncle.recon.core.config.map_config import MapConfig, make_config
 from uncle.recon.core.frame import Frame
 from uncle.recon.methods.uncle.mapper import Mapper
 from uncle.recon.methods.uncle.views import noise_inputs
+from uncle.recon.mvs.photometric_samples import PhotometricDepthImage
 from uncle.recon.sensors.fusion_weights import FusionWeightParameters
 from uncle.recon.sensors.noise_inputs import SENSOR_INPUTS
 from uncle.recon.sensors.noise_model import NoiseModel, Residuals
@@ -216,3 +217,22 @@ def test_reintegration_is_as_if_the_new_pose_had_been_known():
     torch.testing.assert_close(corrected.volume.sums, known.volume.sums, atol=1e-6, rtol=1e-5)
     torch.testing.assert_close(corrected.volume.color_sums, known.volume.color_sums, atol=1e-3, rtol=1e-5)
     assert torch.equal(corrected.log.records[1].T_world_camera, right)
+
+
+def test_a_view_weighs_as_much_as_the_frames_it_stands_for(box_room, walk):
+    """Fused alone: each sample holds frames_per_view times the weight of beta, and the surface lies at the
+    depth of the view."""
+    config = make_config("uncle", ["fusion.voxel_size_m=0.05", "fusion.discretisation_voxels=1"], device="cpu")
+    mapper = Mapper(box_room.camera, ("stereo",), config, {}, torch.device("cpu"))
+    depth = torch.full((120, 160), 2.0)
+    image = PhotometricDepthImage(depth, torch.full_like(depth, 0.0625), torch.eye(4))
+    mapper.integrate_photometric([image, image], frames_per_view=7.0)
+    volume = mapper.volume
+    positions = volume.grid.block_positions(torch.arange(len(volume.grid.blocks))).view(-1, 3)
+    near = ((positions[:, 2] - 2.0).abs() < 0.1) & (volume.counts() == 2)
+    assert near.sum() > 1000
+    expected = 2 * 7 * mapper.weights.inverse_variance(torch.tensor(0.0625))
+    torch.testing.assert_close(volume.sums[near, 0], expected.expand(int(near.sum())), rtol=1e-4, atol=0)
+    torch.testing.assert_close(volume.sdf()[near], 2.0 - positions[near, 2], atol=1e-4, rtol=0)
+    assert not volume.color_sums.any()
+    assert mapper.weight_sums.shares() == {"stereo": 0.0}
