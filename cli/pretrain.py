@@ -8,7 +8,7 @@ from .main import LazyGroup
 
 # training -> one-line help; its command is in pretrain_NAME.py
 PRETRAIN: dict[str, str] = {
-    "decoders": "Train the occupancy decoders of `uncle-paper` and `nice-slam` on made rooms.",
+    "decoders": "Train the occupancy decoders of `uncle-paper` and `nice-slam` on synthetic rooms.",
     "confidence": "Train the confidence network of `nice-slam-pre` for one sensor from true depth.",
     "senfunet": "Train the networks of `senfunet` for two sensors from true depth and a true mesh.",
 }

@@ -27,7 +27,7 @@ from .options import device_option, seed_option
 @click.option("--overwrite", is_flag=True, help="Replace a finished file.")
 @click.pass_context
 def command(ctx: click.Context, out: Path, steps: int, cubes: int, seed: int, device: str, overwrite: bool) -> None:
-    """Train the middle and the fine decoder on made rooms, score them on rooms never seen, and write OUT.
+    """Train the middle and the fine decoder on synthetic rooms, score them on rooms never seen, and write OUT.
 
     Nothing is downloaded and no recording is needed. An interrupted training goes on when the same command is run
     again. docs/pretraining.md describes the recipe and how to use the weights.

@@ -13,7 +13,7 @@ from ..recon.core.errors import DataError
 from ..recon.core.files import read_image
 
 IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg")
-SATURATED = 65535  # the largest value of a 16-bit depth image never is a reading; Kinect recordings mark holes by it
+SATURATED = 65535  # the largest value of a 16-bit image is never a measurement; Kinect recordings mark holes by it
 
 
 def natural_key(name: str) -> tuple[tuple[int, str], ...]:
@@ -49,7 +49,7 @@ def read_color(path: Path, camera: Camera, resize: bool = False) -> np.ndarray:
 
 
 def read_depth(path: Path, camera: Camera, units_per_m: float) -> np.ndarray:
-    """(H, W) float32 z-depth in metres, 0 where there is no reading. Raises DataError."""
+    """(H, W) float32 z-depth in metres, 0 where there is no measurement. Raises DataError."""
     image = read_image(path, cv2.IMREAD_UNCHANGED)
     if image.dtype == np.uint8:
         raise DataError(f"{path} is 8-bit; depth must be 16-bit (is it a preview picture?)")

@@ -22,7 +22,7 @@ from .registration import ColorRegistration
 
 @dataclass(frozen=True)
 class Entry:
-    """The files of one frame. A sensor that is missing from `depths` has no reading in this frame."""
+    """The files of one frame. A sensor that is missing from `depths` has no measurement in this frame."""
 
     color: Path
     depths: dict[str, Path]
@@ -113,7 +113,7 @@ class FileRecording:
         return self._cropped(image)
 
     def depth(self, index: int, sensor: str) -> Tensor:
-        """(H, W) float32 metres, 0 = no reading; all zero where the sensor has no image. Raises FrameError."""
+        """(H, W) float32 metres, 0 = no measurement; all zero where the sensor has no image. Raises FrameError."""
         path = self._entries[index].depths.get(sensor)
         if path is None:
             return torch.zeros(self.camera.height, self.camera.width)

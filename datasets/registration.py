@@ -7,8 +7,8 @@ import numpy as np
 
 from ..recon.core.camera import Camera
 
-TYPICAL_DEPTH_M = 2.0  # where a frame has no reading at all: rooms are seen from about there
-MEDIAN_PX = 5  # readings flicker at edges; without a median the colour would be torn there
+TYPICAL_DEPTH_M = 2.0  # where a frame has no measurement at all: rooms are seen from about there
+MEDIAN_PX = 5  # measurements flicker at edges; without a median the colour would be torn there
 FINER = 1.5  # colour that has this many times the pixels per angle is shrunk first, or it would alias
 
 
@@ -35,7 +35,7 @@ class ColorRegistration:
     def __call__(self, color: np.ndarray, depth: np.ndarray) -> np.ndarray:
         """(H, W, 3) uint8 at the pixels of the depth image, from the colour camera's image (Hc, Wc, 3) uint8.
 
-        `depth` (H, W) float32 is z-depth in metres, 0 where there is no reading; such pixels are taken to lie on the
+        `depth` (H, W) float32 is z-depth in metres, 0 = no measurement; such pixels are taken to lie on the
         background beside them. Pixels outside the colour image repeat its border.
         """
         if (self._camera.width, self._camera.height) != self._size:
@@ -48,10 +48,10 @@ class ColorRegistration:
 
 
 def filled_inverse_depth(depth: np.ndarray) -> np.ndarray:
-    """(H, W) float32 1/m of z-depth in metres (0 = no reading); holes take the farther of their row's neighbours.
+    """(H, W) float32 1/m of z-depth in metres (0 = no measurement); holes take the farther of their row's neighbours.
 
     Most holes of depth sensors are shadows: background that the projector or the second camera does not see, beside
-    what hides it. A row without a reading takes the mean of the image, an image without any a typical depth.
+    what hides it. A row without a measurement takes the mean of the image, an image without any a typical depth.
     """
     known = depth > 0
     if not known.any():

@@ -1,1 +1,1 @@
-"""Made data sets: rendered rooms with simulated depth sensors."""
+"""Synthetic data sets: rendered rooms with simulated depth sensors."""

@@ -35,7 +35,7 @@ def structured_light_handa(
 
     1. pixel shift N(0, 0.5^2), bilinear; 2. disparity rounded to 1/8; 3. matching of a dot pattern in 9 x 9 windows;
     4. raw disparity 35130 / z_cm with noise N(0, (1/6)^2), rounded half up. Widespread code rounds to nearest after
-    adding the half, which shortens every reading by half a step; here the half is added once. Pixels are those of the
+    adding the half, which shortens every depth by half a step; here the half is added once. Pixels are those of the
     device, 480 to the focal length: for a coarser image (`focal_px` < 480) every length in the image shrinks with it.
     """
     scale = min(1.0, focal_px / _HANDA_FOCAL_PX)
@@ -56,7 +56,7 @@ def structured_light_handa(
 def structured_light_redwood(depth: np.ndarray, rng: np.random.Generator, multiplier: float = 1.0) -> np.ndarray:
     """The Redwood noise model as used by Habitat, without its lens distortion table, which is not available.
 
-    1. pixel shift N(0, 0.25^2), nearest; 2. the even-coordinate pixel is read, no reading at 10 m and beyond;
+    1. pixel shift N(0, 0.25^2), nearest; 2. the even-coordinate pixel is read, no measurement at 10 m and beyond;
     4. q = round(8 (35.13 / z + N(0, (multiplier / 36)^2))), z' = 35.13 * 8 / q.
     """
     height, width = depth.shape
@@ -73,8 +73,7 @@ def time_of_flight(depth: np.ndarray, rng: np.random.Generator, focal_px: float)
     """A time-of-flight-like camera; a plausible model of our own, not of one device.
 
     Noise 2 mm + 1.5 mm z^2, divided by the cosine of incidence; flying pixels between the two depths of an edge;
-    surfaces in concave corners read too far by up to 4 cm (light that took a detour); no reading at grazing incidence
-    or beyond 7 m.
+    surfaces in concave corners up to 4 cm too far (multipath); no measurement at grazing incidence or beyond 7 m.
     """
     valid = depth > 0
     normals = depth_normals(depth, focal_px)

@@ -18,7 +18,7 @@ def disparity_range(fb: float) -> int:
 
 
 def semi_global_matching(left: np.ndarray, right: np.ndarray, fb: float) -> np.ndarray:
-    """(H, W) float32 metres from (H, W, 3) uint8 images by OpenCV's StereoSGBM, 0 = no reading.
+    """(H, W) float32 metres from (H, W, 3) uint8 images by OpenCV's StereoSGBM, 0 = no measurement.
 
     Disparities of 1/16 px, left-right check, uniqueness and speckle filter; `fb` = focal length * baseline.
     """

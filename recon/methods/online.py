@@ -53,7 +53,7 @@ class OnlineSystem(Protocol):
         """Make a frame part of the map; returns the frames that were moved by it, the given one among them or not."""
 
     def betas(self, frame: Frame, prepared: Any) -> dict[str, Tensor]:
-        """Scale of the errors of a frame's readings by sensor, (H, W) metres, 0 where there is no reading."""
+        """Scale of the errors of a frame's measurements by sensor, (H, W) metres, 0 where there is no measurement."""
 
     def field(self, poses: Poses, on_event: OnEvent) -> NeuralField:
         """The surface of the map, known only where the cameras saw it."""
@@ -65,7 +65,7 @@ class OnlineSystem(Protocol):
         """How many frames the mapper keeps."""
 
     def artifacts(self) -> dict[str, Any]:
-        """Everything that was learned, as plain tensors and containers: `map/system.pt` of a run."""
+        """Everything that was learned, as plain tensors and containers: `map/method_state.pt` of a run."""
 
     def state_dict(self) -> dict[str, Any]:
         """Plain tensors and containers that `load_state_dict` continues from, bit for bit."""

@@ -1,4 +1,4 @@
-"""The baseline: Open3D's own fusion, every reading alike. What a user would pick instead, and therefore the bar."""
+"""The method `tsdf`: Open3D's own fusion with equal weights, the baseline for all others."""
 
 from __future__ import annotations
 

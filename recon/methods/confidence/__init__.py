@@ -1,1 +1,1 @@
-"""Confidence of depth readings from a network that was trained on true depth: the baseline `nice-slam-pre`."""
+"""Confidence of depth measurements from a network that was trained on true depth: the baseline `nice-slam-pre`."""

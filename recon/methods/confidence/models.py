@@ -43,7 +43,7 @@ class ConfidenceModels:
         return ConfidenceModels({sensor: _network_of(sensor, given).to(device) for sensor in sensors})
 
     def image(self, sensor: str, depth: Tensor) -> Tensor:
-        """depth (H, W) metres -> (H, W) confidence 0..1 of its readings, 0 where there is none."""
+        """depth (H, W) metres -> (H, W) confidence 0..1 of its measurements, 0 where there is none."""
         return confidence_image(self.networks[sensor], depth)
 
     @property

@@ -13,7 +13,7 @@ _START_BIAS = 1.0
 
 
 class ConfidenceNetwork(nn.Module):
-    """Depth (N, 1, H, W) metres, 0 = no reading -> s (N, 1, H, W) >= 0; the confidence is exp(-s).
+    """Depth (N, 1, H, W) metres, 0 = no measurement -> s (N, 1, H, W) >= 0; the confidence is exp(-s).
 
     RoutedFusion's routing network without its depth head: two convolutions at full size, two at half, brought together
     by a head of two. Its last layer ends in a ReLU, too, which kills all gradients where s is 0 everywhere; the bias of
@@ -56,7 +56,7 @@ def channels_last(network: ConfidenceNetwork) -> ConfidenceNetwork:
 
 @torch.no_grad()
 def confidence_image(network: ConfidenceNetwork, depth: Tensor) -> Tensor:
-    """depth (H, W) metres, 0 = no reading -> (H, W) float32 confidence in 0..1, 0 where there is no reading."""
+    """depth (H, W) metres, 0 = no measurement -> (H, W) float32 confidence in 0..1, 0 where there is no measurement."""
     images = depth[None, None].float().contiguous(memory_format=torch.channels_last)
     return torch.exp(-network(images)[0, 0].float()) * (depth > 0)
 

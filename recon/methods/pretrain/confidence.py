@@ -65,7 +65,7 @@ def confidence_loss(s: Tensor, reading: Tensor, truth: Tensor, mask: Tensor, pen
     """Mean over the pixels of `mask` of exp(-s) (|D - D_gt| + |grad D - grad D_gt|_1) + penalty * s, at most 10.
 
     All (N, 1, H, W): s >= 0, depths in metres, mask bool. Gradients are Sobel / 8, taken where a pixel and its eight
-    neighbours are in the mask. RoutedFusion's loss, the reading standing for the depth that its other head would give.
+    neighbours are in the mask. RoutedFusion's loss, with the measured depth in place of the depth of its other head.
     """
     error = (reading - truth) * mask
     kernels = torch.stack([_SOBEL, _SOBEL.T])[:, None].to(error)
@@ -114,7 +114,7 @@ def confidence_loss_of(network: ConfidenceNetwork, batch: tuple[Tensor, Tensor, 
 
 
 class _Images:
-    """Readings and truth on the device, those held back apart; draws crops."""
+    """Measurements and truth on the device, those held back apart; draws crops."""
 
     def __init__(self, pairs: DepthPairs, settings: ConfidenceTraining, device: str) -> None:
         height, width = pairs.truth.shape[1:]

@@ -1,4 +1,4 @@
-"""Cubes cut out of made rooms, turned at random: what the decoders learn from."""
+"""Cubes cut out of synthetic rooms, turned at random: what the decoders learn from."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Cubes of made rooms with the feature grids that are fitted to them, as mapping would."""
+"""Cubes of synthetic rooms with the feature grids that are fitted to them, as mapping would."""
 
 from __future__ import annotations
 

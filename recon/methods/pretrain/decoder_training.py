@@ -1,4 +1,4 @@
-"""Training of the occupancy decoders on cubes of made rooms whose feature grids are optimised beside them.
+"""Training of the occupancy decoders on cubes of synthetic rooms whose feature grids are optimised beside them.
 
 The grids go through what mapping does to them: they start near zero, the middle one moves first, then both at the fine
 stage's rates. The decoders learn to read features that were found in this way (an auto-decoder), so no encoder is

@@ -1,4 +1,4 @@
-"""What a confidence network learns from: readings of one sensor beside the true depth, in one compact file."""
+"""What a confidence network learns from: measurements of one sensor beside the true depth, in one compact file."""
 
 from __future__ import annotations
 

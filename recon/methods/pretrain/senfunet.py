@@ -99,7 +99,7 @@ def train_senfunet(
 @torch.no_grad()
 def measure(scene: Scene, model: SenfunetModel, device: str = "cpu", bricks: int = 400) -> dict[str, float]:
     """Fuse a scene and compare with the truth where both sensors read something: mean errors in metres of each sensor,
-    of the mean of both, and of the learned fusion; and how many right and wrong single readings are kept."""
+    of the mean of both, and of the learned fusion; and how many right and wrong single measurements are kept."""
     maps = PairMaps(scene, model, device)
     for index in range(len(scene)):
         maps.apply(maps.updates(index))
@@ -123,10 +123,10 @@ def measure(scene: Scene, model: SenfunetModel, device: str = "cpu", bricks: int
 def senfunet_loss(
     alpha: Tensor, first: Tensor, second: Tensor, weight_1: Tensor, weight_2: Tensor, truth: Tensor, truncation_m: float
 ) -> Tensor:
-    """6 |sdf - truth| where both sensors read something, and 0.01 |own share - right| where one did; (N,) each.
+    """6 |sdf - truth| where both sensors have measurements, and 0.01 |own share - right| where one has; (N,) each.
 
-    A single reading is wrong if it is off by more than 0.8 of the truncation, on the other side of the surface; such
-    ones count ten times. Distances are scaled to the reference's truncation of 0.05 m.
+    A sample of one sensor is wrong if its error exceeds 0.8 of the truncation, with the wrong sign; wrong ones have ten
+    times the weight. Distances are scaled to the reference's truncation of 0.05 m. The source is SenFuNet.
     """
     both = (weight_1 > 0) & (weight_2 > 0)
     scale = REFERENCE_TRUNCATION_M / truncation_m
@@ -178,7 +178,7 @@ class PairMaps:
             sensor_map.clear()
 
     def learn(self, index: int, bricks: int, generator: torch.Generator) -> Tensor | None:
-        """Fuse a frame; the loss of some bricks around its readings, None if it has no reading in the box."""
+        """Fuse a frame; the loss of some bricks around its measurements, None if it has no measurement in the box."""
         updates = self.updates(index)
         touched = [self._bricks(update.rows) for update in updates if len(update.rows)]
         if not touched:
@@ -200,7 +200,7 @@ class PairMaps:
             samples = ray_samples(depth, self._rays, pose, self.truth.voxel_size_m, before)
             features = self.model.features[sensor](depth[None, None], color)[0].permute(1, 2, 0)
             rows = self.rows(samples.voxels)
-            made.append(sensor_map.with_readings(rows, samples.sdf, features.reshape(-1, 4)[samples.pixels]))
+            made.append(sensor_map.with_measurements(rows, samples.sdf, features.reshape(-1, 4)[samples.pixels]))
         return made
 
     def apply(self, updates: list[Update]) -> None:
@@ -216,7 +216,7 @@ class PairMaps:
         return torch.where(inside, flat, -1)
 
     def observed_bricks(self) -> Tensor:
-        """(B, 3) bricks with a reading."""
+        """(B, 3) bricks with a measurement."""
         rows = ((self.maps[0].weight > 0) | (self.maps[1].weight > 0)).nonzero()[:, 0]
         return self._bricks(rows)
 

@@ -41,7 +41,7 @@ class TrueDistance:
         """Distances to `mesh`; the sign is that of visibility, because a room is no closed solid.
 
         A sample is in front (positive) if one of the cameras (N, 4, 4) saw it: by the true depth (N, H, W) metres of
-        its pixel where that is far from it, else by a ray cast to it. All others are behind. A reading that lies
+        its pixel where that is far from it, else by a ray cast to it. All others are behind. A measurement that lies
         where no camera ever looked is wrong, so hidden free space may count as behind.
         """
         truncation = truncation_voxels * voxel_size_m

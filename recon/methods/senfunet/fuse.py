@@ -18,7 +18,7 @@ from .models import SenfunetModel
 from .sensor_grid import RaySamples, SensorGrid, ray_samples
 
 _BRICKS_AT_A_TIME = 16
-_COLOR_VOXELS = 1.5  # a reading paints the samples this close to it
+_COLOR_VOXELS = 1.5  # a measurement paints the samples this close to it
 
 
 def fuse_senfunet(
@@ -69,7 +69,7 @@ class SenfunetVolume:
 
     @torch.no_grad()
     def add(self, frame: Frame, T_world_camera: Tensor) -> None:
-        """Take in all readings of a frame."""
+        """Take in all measurements of a frame."""
         color = frame.color.to(self.device).float() / 255
         for sensor in self.sensors:
             depth = frame.depths[sensor].to(self.device)
@@ -78,7 +78,7 @@ class SenfunetVolume:
                 continue
             rows = self._rows(samples.voxels)
             features = self._features(sensor, depth, color)[samples.pixels]
-            self.maps[sensor].apply(self.maps[sensor].with_readings(rows, samples.sdf, features))
+            self.maps[sensor].apply(self.maps[sensor].with_measurements(rows, samples.sdf, features))
             self._paint(rows, samples, color)
 
     def field(self, config: MapConfig, on_event: OnEvent = ignore) -> NeuralField:

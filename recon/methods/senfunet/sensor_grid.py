@@ -17,8 +17,12 @@ FARTHEST_M = 12.3
 
 @dataclass(frozen=True)
 class RaySamples:
-    """voxels (M, K, 3) int64: nearest samples of K points on the ray of each of M readings; sdf (K,) metres, positive
-    before the reading; pixels (M,) int64 of the readings in their image."""
+    """Samples on the rays of M measurements, K on each.
+
+    voxels   (M, K, 3) int64, the samples nearest to points on the ray
+    sdf      (K,) metres, positive in front of the measurement
+    pixels   (M,) int64, place of each measurement in the flattened image
+    """
 
     voxels: Tensor
     sdf: Tensor
@@ -33,7 +37,7 @@ def ray_samples(
     before: int,
     max_depth_m: float = FARTHEST_M,
 ) -> RaySamples:
-    """Points one voxel apart on the rays of depth (H, W) metres: `before` ones before the reading to 3 behind it.
+    """Points one voxel apart on the rays of depth (H, W) metres: `before` ones before the measurement to 3 behind it.
 
     rays (H, W, 3) as of `Camera.rays`. Distances are along the ray. The outer 10 pixels take no part.
     """
@@ -80,10 +84,12 @@ class SensorGrid:
                 for table in (self.tsdf, self.weight, self.features, self._slot)
             )
 
-    def with_readings(self, rows: Tensor, sdf: Tensor, features: Tensor) -> Update:
-        """What the grid becomes with M readings: rows (M, K), -1 = nowhere; sdf (K,); features (M, 4), with gradient.
+    def with_measurements(self, rows: Tensor, sdf: Tensor, features: Tensor) -> Update:
+        """The samples after M more measurements.
 
-        Each sample takes the mean of all that it ever got, one reading weighing as much as any other.
+        rows (M, K), -1 = outside; sdf (K,) metres; features (M, 4), with gradient.
+
+        Each sample is the mean over all its measurements, with equal weights.
         """
         flat = rows.reshape(-1)
         kept = (flat >= 0).nonzero()[:, 0]
@@ -106,7 +112,7 @@ class SensorGrid:
         self.features[update.rows] = update.features.detach()
 
     def clear(self) -> None:
-        """Forget all readings."""
+        """Forget all measurements."""
         for table in (self.tsdf, self.weight, self.features):
             table.zero_()
 

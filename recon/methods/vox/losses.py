@@ -14,8 +14,12 @@ from .sampling import Samples
 
 @dataclass(frozen=True)
 class Targets:
-    """What was seen on N rays: colors (N, 3) in 0..1, depths (N, K) metres by sensor, valid (N, K) bool: the reading
-    takes part. A sensor without a reading has no part in the ray; every reading of every sensor weighs the same."""
+    """Colour and depth measured on N rays; all measurements have the same weight.
+
+    colors   (N, 3) in 0..1
+    depths   (N, K) metres by sensor
+    valid    (N, K) bool, whether the measurement takes part in the loss
+    """
 
     colors: Tensor
     depths: Tensor
@@ -28,13 +32,16 @@ class Targets:
 
 @dataclass(frozen=True)
 class Counts:
-    """How many rays, readings, and pairs of sample and reading, in free space and near the reading, a batch has.
+    """Numbers of a batch, int64 scalars: with them its loss can be computed as a sum over parts of the batch.
 
-    They are all that joins the rays of a batch, so its loss can be summed over parts.
+    rays           with a measurement
+    measurements   of all sensors
+    free           pairs of a sample in free space and a measurement
+    near           pairs of a sample within the truncation and a measurement
     """
 
     rays: Tensor
-    readings: Tensor
+    measurements: Tensor
     free: Tensor
     near: Tensor
 
@@ -49,9 +56,9 @@ class Counts:
 def vox_loss(rendered: Rendered, samples: Samples, targets: Targets, counts: Counts, config: VoxConfig) -> Tensor:
     """The part that these rays have in the loss of the batch that `counts` describes.
 
-    Means of |I - I-hat| over rays and channels, of |D - D-hat| over readings, and over all pairs of sample and reading
-    of (s - 1)^2 in free space, farther than t before the reading, and of (z + t s - D)^2 within t of it, in square
-    metres; each of these two times the other's share of the pairs, so that the many free ones do not drown the few.
+    Means of |I - I-hat| over rays and channels, of |D - D-hat| over measurements, and over all pairs of a sample and a
+    measurement: of (s - 1)^2 in free space, more than t before the measurement, and of (z + t s - D)^2, square
+    metres, within t of it. Each of these two is multiplied by the share of pairs of the other, to balance the numbers.
     """
     t, seen = config.truncation_m, targets.valid.any(1)
     color = ((rendered.color - targets.colors).abs().sum(1) * seen).sum() / (3 * counts.rays).clamp(min=1)
@@ -66,21 +73,21 @@ def vox_loss(rendered: Rendered, samples: Samples, targets: Targets, counts: Cou
     pairs = (counts.free + counts.near).clamp(min=1).float()
     free = free / pairs * (counts.near / pairs)
     near = near / pairs * (counts.free / pairs)
-    depth = depth / counts.readings.clamp(min=1)
+    depth = depth / counts.measurements.clamp(min=1)
     return config.color_weight * color + config.depth_weight * depth + config.free_weight * free + (
         config.sdf_weight * near
     )  # fmt: skip
 
 
 def without_outliers(targets: Targets, depth: Tensor, medians: float) -> Targets:
-    """Without readings (N, K) that differ from the rendered depth (N,) by `medians` times the median or more."""
+    """Without measurements (N, K) that differ from the rendered depth (N,) by `medians` times the median or more."""
     error = (targets.depths - depth[:, None]).abs()
     middle = torch.where(targets.valid, error, torch.nan).nanmedian()
     return Targets(targets.colors, targets.depths, targets.valid & (error < medians * middle))
 
 
 def _zones(samples: Samples, targets: Targets, sensor: int, truncation_m: float) -> tuple[Tensor, Tensor]:
-    """(N, S) bool each: samples in the free space before the sensor's reading, and samples near it."""
+    """(N, S) bool each: samples in the free space before the sensor's measurement, and samples near it."""
     reading = targets.depths[:, sensor, None]
     counted = samples.there & targets.valid[:, sensor, None]
     free = samples.z < reading - truncation_m

@@ -1,4 +1,4 @@
-"""Mapping: voxels around the readings of a frame, then steps of Adam on rays of a window of frames."""
+"""Mapping: voxels around the measurements of a frame, then steps of Adam on rays of a window of frames."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ _RAYS_AT_A_TIME = {"cpu": 256}  # their samples fit the cache; a GPU takes all
 
 
 def sample_rays(model: VoxModel, origins: Tensor, directions: Tensor, depths: Tensor, offset: Tensor) -> Samples:
-    """Samples on rays (N, 3), (N, 3) with readings (N, K), metres; offset (N,) as in `place_samples`."""
+    """Samples on rays (N, 3), (N, 3) with measurements (N, K), metres; offset (N,) as in `place_samples`."""
     config = model.config
     farthest = depths.amax(1)
     far = torch.where(farthest > 0, farthest + config.behind_m, config.max_depth_m)
@@ -35,7 +35,7 @@ class VoxMapper:
         self.losses: list[float] = []  # mean of the steps of each mapped frame
 
     def map(self, view: VoxView) -> None:
-        """Make a posed view part of the map, if it has readings."""
+        """Make a posed view part of the map, if it has measurements."""
         if not len(view.usable):
             return
         self.model.add_points(view.points(self.directions))

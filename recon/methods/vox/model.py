@@ -102,7 +102,7 @@ class VoxModel:
                 values.requires_grad_(True)
 
     def to_state(self) -> dict[str, Any]:
-        """What was learned, as plain tensors: `map/system.pt` of a run."""
+        """What was learned, as plain tensors: `map/method_state.pt` of a run."""
         return {
             "voxel_size_m": self.voxels.size_m,
             "voxels": self.voxels.voxels.blocks,

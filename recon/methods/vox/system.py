@@ -72,7 +72,7 @@ class VoxSystem:
         return {}
 
     def field(self, poses: Poses, on_event: OnEvent) -> NeuralField:
-        """The model, sampled, where it exists and was seen by the readings of frames spread over `poses`."""
+        """The model, sampled, where it exists and was seen by the measurements of frames spread over `poses`."""
         settings, order = self.settings, sorted(poses)
         surface = SampledSurface(self.model, self.frames.camera, self.config.fusion.voxel_size_m)
         chosen = np.unique(np.linspace(0, len(order) - 1, min(MAX_VIEWS, len(order))).round().astype(int))

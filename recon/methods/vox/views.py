@@ -18,7 +18,7 @@ from .losses import Targets
 @dataclass(frozen=True)
 class VoxView:
     """colors (P, 3) uint8, depths (P, K) metres by sensor (0: not usable) of all pixels P; usable (U,) int64, pixels
-    with any reading; T_world_camera (4, 4)."""
+    with any measurement; T_world_camera (4, 4)."""
 
     index: int
     colors: Tensor
@@ -28,7 +28,7 @@ class VoxView:
 
     @staticmethod
     def of(frame: Frame, config: VoxConfig, device: torch.device) -> VoxView:
-        """Readings out of range are dropped; the pose is that of the recording, if any."""
+        """Measurements out of range are dropped; the pose is that of the recording, if any."""
         depths = torch.stack([depth.reshape(-1) for depth in frame.depths.values()], 1)
         depths = torch.where((depths > config.min_depth_m) & (depths < config.max_depth_m), depths, 0.0)
         usable = (depths > 0).any(1).nonzero()[:, 0]
@@ -45,7 +45,7 @@ class VoxView:
         return replace(self, T_world_camera=as_pose(T_world_camera).to(self.depths.device))
 
     def points(self, directions: Tensor) -> Tensor:
-        """World points (M, 3) of all readings; directions (P, 3) of the pixels in the camera."""
+        """World points (M, 3) of all measurements; directions (P, 3) of the pixels in the camera."""
         pixel, sensor = self.depths.nonzero(as_tuple=True)
         points = directions[pixel] * self.depths[pixel, sensor, None]
         return points @ self.T_world_camera[:3, :3].T + self.T_world_camera[:3, 3]

@@ -96,7 +96,7 @@ def test_running_means_are_those_of_all_readings_ever():
             for point in range(3):
                 if rows[reading, point] >= 0:
                     seen[rows[reading, point]].append((sdf[point], *features[reading]))
-        grid.apply(grid.with_readings(*map(torch.from_numpy, (rows, sdf, features))))
+        grid.apply(grid.with_measurements(*map(torch.from_numpy, (rows, sdf, features))))
     for row, values in seen.items():
         assert float(grid.weight[row]) == len(values)
         expected = np.mean(values, 0) if values else np.zeros(5)
@@ -108,21 +108,21 @@ def test_a_weight_ends_at_its_limit():
     grid = SensorGrid(1)
     rows = torch.zeros(400, 1, dtype=torch.int64)
     for value in (1.0, 1.0, 0.0):
-        grid.apply(grid.with_readings(rows, torch.tensor([value]), torch.zeros(400, 4)))
+        grid.apply(grid.with_measurements(rows, torch.tensor([value]), torch.zeros(400, 4)))
     assert float(grid.weight[0]) == MAX_WEIGHT
     assert float(grid.tsdf[0]) == pytest.approx(500 / 900)  # the limit makes it forget: not 800 / 1200
 
 
 def test_gradients_reach_the_features_of_the_present_frame():
     grid, features = SensorGrid(3), torch.ones(2, 4, requires_grad=True)
-    update = grid.with_readings(torch.tensor([[0], [0]]), torch.tensor([0.1]), features)
+    update = grid.with_measurements(torch.tensor([[0], [0]]), torch.tensor([0.1]), features)
     update.features.sum().backward()
     assert torch.allclose(features.grad, torch.full((2, 4), 0.5))
 
 
 def test_growing_keeps_what_is_there():
     grid = SensorGrid(2)
-    grid.apply(grid.with_readings(torch.tensor([[1]]), torch.tensor([0.1]), torch.ones(1, 4)))
+    grid.apply(grid.with_measurements(torch.tensor([[1]]), torch.tensor([0.1]), torch.ones(1, 4)))
     grid.grow(50)
     assert len(grid.tsdf) >= 50
     assert grid.weight[:3].tolist() == [0, 1, 0]
