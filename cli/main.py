@@ -12,6 +12,7 @@ import click
 COMMANDS: dict[str, str] = {
     "demo": "Make a small room, reconstruct it with two sensors and write a report.",
     "synth": "Make a multi-sensor data set from a furnished room or from a mesh.",
+    "inspect": "Check whether depth, colour, poses and clocks of a recording fit.",
     "preprocess": "Read and check a recording and convert it into a run directory.",
     "map": "Reconstruct the scene and learn how far each sensor can be trusted.",
     "mesh": "Extract the surface of a finished map.",

@@ -23,6 +23,8 @@ def _format_help() -> str:
 @click.option("--frames", type=FrameRange(), metavar="START:STOP:STEP", help="Frames to take; all if not given.")
 @sensors_option("Depth sensors to take; all of the data set if not given.")
 @click.option("--lossless", is_flag=True, help="Store colour as PNG: exact, but slower and five times as large as JPG.")
+@click.option("--fix", is_flag=True, help="Mend what `uncle inspect` finds wrong, where it can be, and record it.")
+@click.option("--force", is_flag=True, help="Go on although something is wrong.")
 @overwrite_option
 @click.pass_context
 def command(
@@ -33,6 +35,8 @@ def command(
     frames: slice | None,
     sensors: tuple[str, ...],
     lossless: bool,
+    fix: bool,
+    force: bool,
     overwrite: bool,
 ) -> None:
     """Read and check the recording in the folder DATASET and convert it into a run directory.
@@ -53,6 +57,8 @@ def command(
         frames=frames,
         sensors=sensors or None,
         lossless=lossless,
+        fix=fix,
+        force=force,
         overwrite=overwrite,
         on_event=on_event,
     )

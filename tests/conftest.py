@@ -16,6 +16,7 @@ import pytest
 import torch
 from uncle.recon.core.camera import Camera
 from uncle.recon.core.files import BETA_UNITS_PER_M, DEPTH_UNITS_PER_M, encode_metres, write_image, write_text
+from uncle.recon.core.frame import Frame
 from uncle.recon.core.mesh import Mesh
 from uncle.recon.core.trajectory import Trajectory
 from uncle.recon.run.directory import RunDirectory
@@ -146,3 +147,45 @@ def threads(request) -> Iterator[int]:
     torch.set_num_threads(request.param)
     yield request.param
     torch.set_num_threads(before)
+
+
+class BoxRecording:
+    """A camera that moves sideways and turns in the box room."""
+
+    name, format, sensors = "box", "none", ("depth",)
+    has_poses, has_timestamps, reference_mesh, notes = True, False, None, ()
+    registration_sigma_px = 0.0
+
+    def __init__(self, room):
+        self.room, self.camera = room, room.camera
+        steps = np.linspace(0, 1, 30)
+        self.poses = [
+            room.pose(
+                0.3 + 0.9 * s + 0.1 * np.sin(9 * s), (1.6 + 0.9 * s, 1.9 - 0.7 * s * s, 1.2 + 0.2 * np.sin(7 * s))
+            )
+            for s in steps
+        ]
+
+    def __len__(self):
+        return len(self.poses)
+
+    def __getitem__(self, index):
+        depths = {sensor: self.depth(index, sensor) for sensor in self.sensors}
+        return Frame(index, self.timestamp(index), self.color(index), depths, self.pose(index))
+
+    def timestamp(self, index):
+        return float(index)
+
+    def pose(self, index):
+        return self.poses[index]
+
+    def color(self, index):
+        return torch.from_numpy(self.room.picture(self.poses[index]))
+
+    def depth(self, index, sensor):
+        return torch.from_numpy(self.room.depth(self.poses[index]).astype(np.float32))
+
+
+@pytest.fixture(scope="session")
+def box_recording(box_room):
+    return BoxRecording(box_room)

@@ -49,6 +49,10 @@ class RunFrames:
         """Whether every frame has a pose."""
         return all(record.T_world_camera is not None for record in self.records)
 
+    def timestamp(self, index: int) -> float:
+        """Seconds, or the index of the frame where the recording has no clock."""
+        return self.records[index].timestamp
+
     def pose(self, index: int) -> np.ndarray | None:
         """(4, 4) T_world_camera or None."""
         matrix = self.records[index].T_world_camera

@@ -17,15 +17,19 @@ from typing import TypeVar
 import cv2
 import numpy as np
 
+from ..core.correction import CorrectedRecording, Correction
 from ..core.errors import DataError, RunError
 from ..core.events import Note, OnEvent, Warn, ignore, track_progress
 from ..core.files import explain_write_errors, write_text
 from ..core.frame import Recording
 from ..core.trajectory import Trajectory
+from ..evaluation.inspection.correspondences import FrameInterval
+from ..evaluation.inspection.inspector import QUICK, THOROUGH, inspect_recording
 from ..run.directory import RunDirectory
 from ..run.manifest import FrameRecord, Manifest, config_hash
 from .base import StageSummary
 from .frame_conversion import FrameConverter, FrameResult
+from .inspect import MAX_DEPTH_M, require_fitting
 
 STAGE = "preprocess"
 FRAMES_AHEAD = 2  # frames queued per thread: keeps all threads busy with little memory
@@ -51,23 +55,26 @@ def preprocess_run(
     frames: slice | None = None,
     sensors: Sequence[str] | None = None,
     lossless: bool = False,
+    fix: bool = False,
+    force: bool = False,
     overwrite: bool = False,
     on_event: OnEvent = ignore,
 ) -> PreprocessSummary:
     """Convert `recording`, read from the folder `dataset`, into the frames of `run`.
 
-    Earlier frames are replaced only when the new ones are complete. A frame without readable colour or without any
+    The recording is inspected first (`uncle inspect`): what is wrong stops it, unless `fix` mends it or `force` goes
+    on. Earlier frames are replaced only when the new ones are complete. A frame without readable colour or without any
     readable depth is skipped, an unreadable depth image is left out; both are reported and listed in the manifest.
     Stages made from earlier frames are marked as not done.
 
-    Raises DataError if a sensor is unknown or has no depth in any frame, or if no frame is usable; RunError if the run
-    cannot be written.
+    Raises DataError if something is wrong, if a sensor is unknown or has no depth in any frame, or if no frame is
+    usable; RunError if the run cannot be written.
     """
     chosen = _chosen_sensors(recording, sensors)
     indices = range(len(recording))[frames or slice(None)]
     if not indices:
         raise DataError(f"--frames selects none of the {len(recording)} frames of {dataset}")
-    settings = config_hash(dataset_hash(dataset, run.root), recording.format, [*indices], chosen, lossless)
+    settings = config_hash(dataset_hash(dataset, run.root), recording.format, [*indices], chosen, lossless, fix)
     earlier = _earlier_manifest(run, dataset)
     if not overwrite and earlier and STAGE in earlier.stages and earlier.stages[STAGE].config_hash == settings:
         return _unchanged(run, earlier, on_event)
@@ -75,6 +82,9 @@ def preprocess_run(
     started = time.time()
     for note in recording.notes:
         on_event(Note(note))
+    correction = _inspect(recording, indices, chosen, fix=fix, force=force, on_event=on_event)
+    if correction is not None:
+        recording = CorrectedRecording(recording, correction)
     converter = FrameConverter(recording, chosen, ".png" if lossless else ".jpg")
     with _staging(run) as staging:
         results = _convert_all(converter, staging, indices, on_event)
@@ -93,9 +103,25 @@ def preprocess_run(
         "sensors": list(chosen),
         "frame_range": [indices.start, indices.stop, indices.step],
         "lossless": lossless,
+        "correction": correction.describe() if correction is not None else {},
     }
     run.finish_stage(STAGE, settings, started, facts)
     return PreprocessSummary(frames=len(records), sensors=chosen, skipped=manifest.skipped, seconds=seconds)
+
+
+def _inspect(
+    recording: Recording, indices: range, sensors: Sequence[str], *, fix: bool, force: bool, on_event: OnEvent
+) -> Correction | None:
+    """Inspect the frames from the first to the last of `indices`, and decide what follows. Raises DataError."""
+    inspection = inspect_recording(
+        FrameInterval(recording, min(indices), max(indices) + 1),
+        has_timestamps=recording.has_timestamps,
+        max_depth_m=MAX_DEPTH_M,
+        sensors=sensors,
+        effort=THOROUGH if fix else QUICK,
+        on_event=on_event,
+    )
+    return require_fitting(inspection, fix=fix, force=force, on_event=on_event)
 
 
 def dataset_hash(dataset: Path, excluded: Path) -> str:
