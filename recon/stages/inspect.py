@@ -37,7 +37,7 @@ def inspect_dataset(
         on_event=on_event,
     )
     if report is not None:
-        _write_page(report, recording.name, inspection, inspection_pictures(recording, inspection, sensors))
+        _write_page(report, recording.name, inspection, inspection_pictures(recording, sensors))
     return inspection
 
 
@@ -57,7 +57,7 @@ def inspect_run(
         on_event=on_event,
     )
     if report is not None:
-        _write_page(report, manifest.name, inspection, inspection_pictures(frames, inspection, sensors))
+        _write_page(report, manifest.name, inspection, inspection_pictures(frames, sensors))
     return inspection
 
 

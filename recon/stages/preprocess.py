@@ -47,7 +47,7 @@ class PreprocessSummary(StageSummary):
     skipped: dict[str, str]
 
 
-def preprocess_run(
+def preprocess_run(  # noqa: PLR0913 (one argument for each option of the command)
     recording: Recording,
     run: RunDirectory,
     *,

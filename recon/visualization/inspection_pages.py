@@ -12,7 +12,6 @@ from ..core.errors import DataError
 from ..core.html import embed_picture, missing
 from ..evaluation.inspection.correspondences import InspectedFrames
 from ..evaluation.inspection.findings import Finding
-from ..evaluation.inspection.inspector import Inspection
 from ..evaluation.inspection.registration import depth_outlines
 
 _PICTURES = 3
@@ -35,7 +34,7 @@ def findings_table(findings: Sequence[Finding]) -> str:
     return f"<table><tr>{header}</tr>{''.join(rows)}</table>"
 
 
-def inspection_pictures(frames: InspectedFrames, inspection: Inspection, sensors: Sequence[str] = ()) -> str:
+def inspection_pictures(frames: InspectedFrames, sensors: Sequence[str] = ()) -> str:
     """HTML figures: outlines in depth drawn over colour, of a few frames; they meet where both are registered."""
     sensor = (tuple(sensors) or frames.sensors)[0]
     figures = []

@@ -1,4 +1,4 @@
-"""Findings about each sensor's depth: range, fill, noise, and names that look exchanged."""
+"""Findings about each sensor's depth: range, fill, noise, and names that seem to be exchanged."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from .hypotheses import LOG_DEPTH, Evidence
 
 EMPTY = 0.1  # fill below which a sensor says little
 PLAUSIBLE_M = (0.1, 30.0)
-MORE_NOISE = 1.4  # ratio of noise above which two names look exchanged
+MORE_NOISE = 1.4  # ratio of noise above which two names seem to be exchanged
 # How noisy sensors of these names usually are: the kinds of `uncle synth`, SenFuNet's rooms and common names.
 NOISE_RANK = {"gt": 0, "sl": 1, "tof": 1, "kinect": 1, "sgm": 2, "dense": 2, "psmnet": 2, "stereo": 2, "mono": 3}
 
