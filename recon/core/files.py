@@ -76,7 +76,7 @@ def write_image(path: Path, image: np.ndarray, *, png_level: int = 1, jpeg_quali
 
 
 def read_image(path: Path, flags: int) -> np.ndarray:
-    """Read an image with OpenCV `flags`; colour comes back RGB. Raises DataError if it is missing or broken."""
+    """(H, W) or (H, W, 3) RGB, as OpenCV reads it with `flags`. Raises DataError if it is missing or broken."""
     try:
         data = np.fromfile(path, dtype=np.uint8)
     except OSError as error:

@@ -187,10 +187,10 @@ def paper_distances(
     seen_reference: np.ndarray | None = None,
     parameters: MeshScoringParameters = DEFAULT_PARAMETERS,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Distances in metres as the script behind the published figures measures them (docs/evaluation.md).
+    """Distances (N,) mesh -> reference and (M,) back, metres, as in the script of the published figures.
 
     Sources are the vertices of both meshes. The targets are clouds: the mesh with fewer vertices is sampled with as
-    many points as the other has vertices; of the other the vertices are used.
+    many points as the other has vertices; of the other the vertices are used (docs/evaluation.md).
     """
     rng = np.random.default_rng(seed)
     predicted, true = mesh.vertices.astype(np.float64), reference.vertices.astype(np.float64)
@@ -204,7 +204,7 @@ def paper_distances(
 
 
 def score_at(threshold_m: float, accuracy: np.ndarray, completeness: np.ndarray) -> ThresholdScore:
-    """Precision, recall and their harmonic mean at one threshold; 0 where there are no points."""
+    """Precision of distances (N,), recall of distances (M,), metres, and their harmonic mean; 0 without points."""
     precision = float((accuracy < threshold_m).mean()) if len(accuracy) else 0.0
     recall = float((completeness < threshold_m).mean()) if len(completeness) else 0.0
     total = precision + recall

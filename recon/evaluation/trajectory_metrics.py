@@ -155,7 +155,7 @@ def evaluate_trajectory(
 
 
 def has_clock(timestamps: np.ndarray) -> bool:
-    """Whether time stamps are seconds: if all are whole numbers, they are frame numbers (docs/conventions.md)."""
+    """Whether time stamps (N,) are seconds: if all are whole numbers, they are frame numbers (docs/conventions.md)."""
     return bool((timestamps % 1 != 0).any())
 
 

@@ -58,7 +58,7 @@ class Residuals:
 
     @staticmethod
     def from_exact_reference(metres: Tensor, inputs: Tensor) -> Residuals:
-        """Residuals against a reference whose own error is taken to be 0."""
+        """Residuals (N,) metres with noise inputs (N, F) against a reference whose own error is taken to be 0."""
         return Residuals(metres, inputs, torch.zeros_like(metres))
 
     def __len__(self) -> int:

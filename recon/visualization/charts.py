@@ -73,7 +73,7 @@ def encode_figure(figure: Figure) -> bytes:
 
 
 def show_picture(axes: Axes, picture: np.ndarray, title: str = "") -> None:
-    """Show a picture without ticks."""
+    """Show a picture (H, W) or (H, W, 3) without ticks."""
     axes.imshow(picture, interpolation="antialiased")
     axes.set_title(plain(title), fontsize=10)
     axes.set_xticks([])

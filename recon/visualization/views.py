@@ -168,7 +168,7 @@ def guess_up(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
 
 
 def horizontal_axes(up: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Two unit vectors orthogonal to `up` and to each other."""
+    """Two unit vectors (3,) orthogonal to `up` (3,) and to each other."""
     start = np.eye(3)[int(np.abs(up).argmin())]
     first = start - (start @ up) * up
     first /= np.linalg.norm(first)
