@@ -192,11 +192,6 @@ def test_tests_do_not_import_private_names():
     assert private_imports(path.relative_to(ROOT) for path in (ROOT / "tests").rglob("*.py")) == set()
 
 
-# Private names of other modules that are still used; the list only shrinks.
-PRIVATE_USES = {
-    "tests/recon/tracking/test_keyframe_graph.py": {"_MAX_CAMERAS", "_adjust"},
-    "tests/recon/tracking/test_outlier_poses.py": {"_repair_outlier_poses"},
-}
 LIBRARY_NAMES = {"_asdict", "_replace", "_exit"}  # documented, in spite of the underscore
 
 
@@ -216,14 +211,10 @@ def private_uses(path: Path) -> set[str]:
 
 
 def test_private_names_of_other_modules_are_not_used():
-    """`file: name`, beyond the names of PRIVATE_USES."""
     tops = (*TOP, "benchmarks", "docs", "examples", "tests")
     paths = [path for top in tops for path in sorted((ROOT / top).rglob("*.py"))]
     uses = {str(path.relative_to(ROOT)): private_uses(path) for path in paths}
-    surplus = {file: names - PRIVATE_USES.get(file, set()) for file, names in uses.items()}
-    assert {file: names for file, names in surplus.items() if names} == {}
-    outdated = {file: names - uses.get(file, set()) for file, names in PRIVATE_USES.items()}
-    assert {file: names for file, names in outdated.items() if names} == {}, "remove them from PRIVATE_USES"
+    assert {file: names for file, names in uses.items() if names} == {}
 
 
 def test_every_package_is_installed():

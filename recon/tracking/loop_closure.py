@@ -1,62 +1,81 @@
-"""Places seen before: found by features, verified by geometry, and made to agree by a robust pose graph."""
+"""Loops: a keyframe joined with one that saw the same place before, and the error spread over those between."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
-from ..core.camera import Camera
-from ..core.se3 import inverse
-from .landmarks import FrameFeatures, Landmarks
-from .local_features import match
-from .pose_estimation import feature_term, minimise, ransac_pose
+from ..core.se3 import exceeds, inverse, transform
+from .graph_adjustment import adjust_globally
+from .keyframe_graph import KeyframeGraph
+from .landmarks import NONE
+from .place_recognition import Place, recognise_among_keyframes
 
-MIN_MATCHES = 25
-MIN_SHARE = 0.3  # of the matches that must agree with one motion
-_VOTES = 300  # landmarks of a keyframe that are compared
-_CANDIDATES = 3
-
-
-@dataclass(frozen=True)
-class Place:
-    """A view that agrees with an earlier keyframe. `pose` (4, 4) of the view as that keyframe's landmarks give it;
-    `rows` (K,) features of the view and `numbers` (K,) the landmarks they are of; `keyframe` a position."""
-
-    keyframe: int
-    pose: np.ndarray
-    rows: np.ndarray
-    numbers: np.ndarray
+_KNOWN_SHARE = 20  # landmarks in common that make two keyframes neighbours: nothing to recognise
+_LEFT_M, _LEFT_RAD = 0.1, 0.1  # what may be left of a loop's error when all keyframes shared it
+_TRACKED_M, _TRACKED_RAD = 0.02, 0.02  # of a motion between keyframes that their surfaces do not determine
+_JUMP_M, _JUMP_RAD = 0.02, 0.02  # a loop that is off by more corrects the graph before bundle adjustment
+_ITERATIONS = 10  # of the global adjustment after a loop
 
 
-def recognise(
-    camera: Camera,
-    view: FrameFeatures,
-    descriptors: np.ndarray,
-    candidates: dict[int, np.ndarray],
-    landmarks: Landmarks,
-    seed: int,
-) -> Place | None:
-    """Where `view` with `descriptors` (N, 128) looks at the landmarks of one of `candidates` (position -> numbers).
+def close_by_features(graph: KeyframeGraph) -> None:
+    """Recognise the newest keyframe's view among those that are no neighbours of it; join and correct."""
+    newest = graph.newest
+    view, numbers = graph.frames[newest], graph.landmarks_of(newest)
+    positions, shared = graph.covisible(numbers)
+    neighbours = {*positions[shared >= _KNOWN_SHARE].tolist(), *graph.keyframes[-3:]}
+    current = graph.landmarks.current(view.landmark)
+    place = recognise_among_keyframes(graph, view, graph.landmarks.descriptors[current], neighbours)
+    if place is None:
+        return
+    jumps = exceeds(inverse(view.pose) @ place.pose, _JUMP_M, _JUMP_RAD)
+    if jumps and not distribute_loop_error(graph, place):
+        return
+    graph.loops.append((place.keyframe, newest))
+    graph.measure_edges(newest, [place.keyframe])
+    graph.landmarks.merge(view.landmark[place.rows], place.numbers)
+    if jumps:  # what is only joined is corrected by the local adjustments, and by the global one at the end
+        adjust_globally(graph, _ITERATIONS)
 
-    The keyframes with most matches are tried; enough of the matches must agree with one motion of the camera.
+
+def close_by_surface(graph: KeyframeGraph) -> None:
+    """Without features: align the newest keyframe with older ones that are near by what is known so far."""
+    (previous, newest), measured = graph.keyframes[-2:], len(graph.edges)
+    if not any(newest == later for _, later, *_ in graph.edges):  # what was tracked connects the two
+        motion = inverse(graph.frames[previous].pose) @ graph.frames[newest].pose
+        graph.edges.append((previous, newest, motion, np.diag([_TRACKED_M**-2] * 3 + [_TRACKED_RAD**-2] * 3)))
+        measured += 1
+    graph.measure_edges(newest, graph.older_around(newest))
+    graph.loops += [(first, newest) for first, *_ in graph.edges[measured:]]
+    known = inverse(graph.frames[newest].pose)
+    off = [known @ graph.frames[first].pose @ motion for first, _, motion, _ in graph.edges[measured:]]
+    if any(exceeds(each, _JUMP_M, _JUMP_RAD) for each in off):
+        adjust_globally(graph, _ITERATIONS)
+
+
+def distribute_loop_error(graph: KeyframeGraph, place: Place) -> bool:
+    """Spread the error of a loop over the keyframes; landmarks and frames move with theirs.
+
+    Returns False, and moves nothing, if the rest contradicts the loop.
     """
-    votes = {p: len(match(descriptors[:: 1 + len(descriptors) // _VOTES] @ _some(landmarks, n).T))
-             for p, n in candidates.items()}  # fmt: skip
-    for keyframe in sorted(votes, key=lambda p: -votes[p])[:_CANDIDATES]:
-        numbers = candidates[keyframe]
-        pairs = match(descriptors @ landmarks.descriptors[numbers].T)
-        if len(pairs) < MIN_MATCHES:
-            continue
-        points = landmarks.points[numbers[pairs[:, 1]]]
-        found = ransac_pose(camera, points, view.uv[pairs[:, 0]], seed)
-        if found is None or len(found[1]) < max(MIN_MATCHES, MIN_SHARE * len(pairs)):
-            continue
-        kept = pairs[found[1]]
-        seen = view.observations(kept[:, 0], np.arange(len(kept)))
-        pose, _ = minimise(found[0], [feature_term(camera, points[found[1]], seen)])
-        return Place(keyframe, pose, kept[:, 0], numbers[kept[:, 1]])
-    return None
+    before = graph.keyframe_poses()
+    order = {k: i for i, k in enumerate(graph.keyframes)}
+    earlier, later = place.keyframe, graph.newest
+    loops = [(order[a], order[b], inverse(before[a]) @ before[b]) for a, b in graph.loops]
+    loops.append((order[earlier], order[later], inverse(before[earlier]) @ place.pose))
+    poses = corrected_poses(np.stack([before[k] for k in graph.keyframes]), loops)
+    left = inverse(loops[-1][2]) @ inverse(poses[order[earlier]]) @ poses[order[later]]
+    if exceeds(left, _LEFT_M, _LEFT_RAD):
+        return False
+    owner = np.full(len(graph.landmarks), NONE)
+    for k in reversed(graph.keyframes):  # a landmark belongs to the first keyframe that saw it
+        owner[graph.landmarks_of(k)] = k
+    points = graph.landmarks.points
+    for k, pose in zip(graph.keyframes, poses, strict=True):
+        graph.frames[k].pose = pose
+        mine = owner == k
+        points[mine] = transform((pose @ inverse(before[k]))[None], points[mine])
+    graph.move_with_keyframes(before, set(graph.keyframes))
+    return True
 
 
 def corrected_poses(poses: np.ndarray, loops: list[tuple[int, int, np.ndarray]]) -> np.ndarray:
@@ -86,8 +105,3 @@ def corrected_poses(poses: np.ndarray, loops: list[tuple[int, int, np.ndarray]])
         )  # fmt: skip
     result = np.stack([node.pose for node in graph.nodes])
     return result if np.isfinite(result).all() else poses
-
-
-def _some(landmarks: Landmarks, numbers: np.ndarray) -> np.ndarray:
-    """Descriptors of at most about `_VOTES` of the landmarks."""
-    return landmarks.descriptors[numbers[:: 1 + len(numbers) // _VOTES]]

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..core.se3 import cross_matrix, inverse, motion_between
+from ..core.se3 import adjoint, inverse, motion_between
 
 Measured = tuple[int, int, np.ndarray, np.ndarray]  # two frames, T_first_second (4, 4), information (6, 6)
 
@@ -68,12 +68,3 @@ def linearise_edges(poses: np.ndarray, edges: PoseEdges) -> LinearisedEdges:
     np.add.at(g, edges.second, pull)
     np.add.at(g, edges.first, (transposed @ pull[..., None])[..., 0])
     return LinearisedEdges(cost, U, g, transposed @ weighted)
-
-
-def adjoint(transforms: np.ndarray) -> np.ndarray:
-    """(..., 4, 4) T_a_b -> (..., 6, 6) that takes small motions in the axes of b to those of a."""
-    rotation = transforms[..., :3, :3]
-    result = np.zeros((*transforms.shape[:-2], 6, 6))
-    result[..., :3, :3] = result[..., 3:, 3:] = rotation
-    result[..., :3, 3:] = cross_matrix(transforms[..., :3, 3]) @ rotation
-    return result

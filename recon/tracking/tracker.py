@@ -23,9 +23,12 @@ from .depth_only import SurfacePose, align_to_tsdf, expectation, relocalise_by_s
 from .frame_observations import Prepared, observe_features, prepare, sample_depth_points, surface_view, weigh
 from .frame_to_frame import SurfaceView
 from .frame_to_model import Readings, scaled, surface_term
+from .graph_adjustment import pose_covariances
+from .graph_optimisation import optimise_after_keyframe, optimise_all
 from .keyframe_graph import KeyframeGraph
 from .landmarks import FrameFeatures
 from .local_features import match, match_near, near_projections, project
+from .place_recognition import recognise_among_keyframes
 from .pose_estimation import MIN_INLIERS, covariance_of, feature_term, is_weak, minimise, ransac_pose
 
 SEARCH_PX = 10.0  # around where a landmark is expected
@@ -114,6 +117,8 @@ class AlignTracker:
         elif view is None:
             view = surface_view(frame, prepared, noise_features, self.noise, self.camera, self._max_depth_m)
         self.graph.add(frame_features, features.descriptors, view)
+        if view is not None:
+            optimise_after_keyframe(self.graph)
         return self._last.pose
 
     def is_keyframe(self) -> bool:
@@ -128,12 +133,12 @@ class AlignTracker:
         """All frames made consistent, with what was learned about the sensors since they were seen."""
         for frame_features in self.graph.frames:
             weigh(frame_features, self.noise)
-        self.graph.finish()
+        optimise_all(self.graph)
         return self.poses()
 
     def record(self) -> TrackingRecord:
         """Status of every frame and, after `finish`, the covariance of its pose."""
-        spread = {self.graph.frames[p].index: c for p, c in self.graph.covariances().items()}
+        spread = {self.graph.frames[p].index: c for p, c in pose_covariances(self.graph).items()}
         return TrackingRecord.of(self.frames, spread)
 
     def state_dict(self) -> dict[str, Any]:
@@ -276,7 +281,7 @@ class AlignTracker:
 
     def _relocalise(self, frame_features: FrameFeatures, descriptors: np.ndarray) -> _Found | None:
         """Relocalise against all keyframes."""
-        place = self.graph.recognise(frame_features, descriptors)
+        place = recognise_among_keyframes(self.graph, frame_features, descriptors)
         if place is None:
             return None
         found = self._refine_inliers(frame_features, place.pose, place.rows, place.numbers)

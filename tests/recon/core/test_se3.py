@@ -67,6 +67,7 @@ def test_adjoint_carries_a_small_motion_across_a_transform():
     T, x = POSES[0, 0], 1e-5 * RNG.uniform(-1, 1, 6)
     across = motion_between(T, apply_motion(np.eye(4), adjoint(T) @ x) @ T)
     np.testing.assert_allclose(across, x, atol=1e-9)
+    np.testing.assert_allclose(adjoint(T) @ adjoint(inverse(T)), np.eye(6), atol=1e-12)
 
 
 def test_a_camera_of_constant_velocity_repeats_its_last_motion():

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from uncle.recon.core.se3 import apply_motion, inverse, transform
 from uncle.recon.tracking.bundle_adjustment import Observations, adjust, residuals, robust_weights
+from uncle.recon.tracking.graph_adjustment import reoptimise_outlier_frames
 from uncle.recon.tracking.outlier_poses import expectations, nearest, pose_cost, reoptimise_outliers
 
 SPEED = np.array([0.02, -0.01, 0.005, 0.01, 0.02, -0.005])  # of a hand, a frame
@@ -101,7 +102,7 @@ def test_the_graph_puts_back_frames_between_keyframes(confused, make_graph, comm
     camera, truth, poses, points, mixed = confused
     poses[4] = apply_motion(poses[4], np.array([0.0, 0.1, 0, 0, 0, 0]))
     graph = make_graph(camera, poses, points, mixed, (0, 4, 8), common_px)
-    graph._repair_outlier_poses()
+    reoptimise_outlier_frames(graph)
     assert np.linalg.norm((inverse(truth[6]) @ graph.frames[6].pose)[:3, 3]) < 0.005
     assert all((graph.frames[n].pose == poses[n]).all() for n in range(12) if n != 6), "keyframes hold each other"
 
