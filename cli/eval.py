@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from .console import listener, print_json, print_table
-from .options import json_option, run_option, seed_option
+from .options import json_option, run_option, seed_option, wait_option
 
 if TYPE_CHECKING:
     from ..recon.stages.evaluate import EvaluationSettings
@@ -19,6 +19,7 @@ if TYPE_CHECKING:
 @click.argument("mesh", required=False, type=click.Path(path_type=Path), metavar="[MESH|TRAJECTORY]")
 @click.argument("gt", required=False, type=click.Path(path_type=Path))
 @run_option
+@wait_option
 @click.option(
     "--threshold", "thresholds", type=click.FloatRange(0, min_open=True), multiple=True, default=(0.05, 0.02),
     show_default=True, metavar="METRES", help="Distance below which a point counts as correct; repeatable.",
@@ -60,6 +61,7 @@ def command(
     mesh: Path | None,
     gt: Path | None,
     run_path: Path,
+    wait: bool,
     cull: Path | None,
     error_mesh: Path | None,
     plot: Path | None,
@@ -89,7 +91,7 @@ def command(
     if mesh is not None and gt is not None:
         _evaluate_mesh(ctx, mesh, gt, settings, cull, error_mesh, as_json)
     else:
-        _evaluate_run(ctx, run_path, settings, error_mesh, plot, as_json)
+        _evaluate_run(ctx, run_path, wait, settings, error_mesh, plot, as_json)
 
 
 def _check_arguments(
@@ -150,15 +152,16 @@ def _evaluate_mesh(
 
 
 def _evaluate_run(
-    ctx: click.Context, run_path: Path, settings: EvaluationSettings, error_mesh: Path | None, plot: Path | None,
-    as_json: bool,
+    ctx: click.Context, run_path: Path, wait: bool, settings: EvaluationSettings, error_mesh: Path | None,
+    plot: Path | None, as_json: bool,
 ) -> None:  # fmt: skip
     from ..recon.core.json_values import to_plain
     from ..recon.run.directory import RunDirectory
     from ..recon.stages.evaluate import evaluate_run
     from ..recon.visualization.run_tables import remarks, run_tables
 
-    summary = evaluate_run(RunDirectory(run_path), settings, error_mesh=error_mesh, plots=plot, on_event=listener(ctx))
+    run = RunDirectory(run_path, wait)
+    summary = evaluate_run(run, settings, error_mesh=error_mesh, plots=plot, on_event=listener(ctx))
     metrics = summary.metrics
     if as_json:
         print_json(to_plain(metrics))

@@ -10,7 +10,15 @@ import click
 from ..recon.core.events import Warn
 from ..recon.methods.registry import DEFAULT_METHOD, method_spec, method_specs, plugin_problems
 from .console import listener
-from .options import SensorsCommand, device_option, overwrite_option, run_option, seed_option, sensors_option
+from .options import (
+    SensorsCommand,
+    device_option,
+    overwrite_option,
+    run_option,
+    seed_option,
+    sensors_option,
+    wait_option,
+)
 
 
 class _MethodName(click.Choice[str]):
@@ -38,6 +46,7 @@ _METHOD = _MethodName()
 
 @click.command("map", cls=SensorsCommand)
 @run_option
+@wait_option
 @sensors_option("Sensors to use. Default: all but the ground truth.")
 @click.option("--method", type=_METHOD, default=DEFAULT_METHOD, show_default=True, help=_METHOD.help())
 @click.option("--track", is_flag=True,
@@ -57,7 +66,7 @@ _METHOD = _MethodName()
 @overwrite_option
 @click.pass_context
 def command(
-    ctx: click.Context, run_path: Path, sensors: tuple[str, ...], method: str, track: bool, color: bool,
+    ctx: click.Context, run_path: Path, wait: bool, sensors: tuple[str, ...], method: str, track: bool, color: bool,
     voxel: float | None, hold_out: int | None, overrides: tuple[str, ...], prior: Path | None, seed: int, device: str,
     resume: bool, overwrite: bool,
 ) -> None:  # fmt: skip
@@ -81,7 +90,8 @@ def command(
     config = spec.configure(settings, sensors=sensors, seed=seed, device=device, hold_out=hold_out or 0)
     say = listener(ctx)
     known = NoisePrior.load(prior) if prior is not None else None
-    summary = map_run(RunDirectory(run_path), config, prior=known, resume=resume, overwrite=overwrite, on_event=say)
+    run = RunDirectory(run_path, wait)
+    summary = map_run(run, config, prior=known, resume=resume, overwrite=overwrite, on_event=say)
     if summary.unchanged:
         say(Note(f"The map of {run_path} is done and unchanged; --overwrite redoes it."))
         return

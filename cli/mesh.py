@@ -7,11 +7,12 @@ from pathlib import Path
 import click
 
 from .console import listener
-from .options import overwrite_option, run_option
+from .options import overwrite_option, run_option, wait_option
 
 
 @click.command("mesh")
 @run_option
+@wait_option
 @click.option("--voxel", type=click.FloatRange(0.001, 0.5), default=None, metavar="METRES",
               help="Cell size of the mesh. Default: that of the map.")  # fmt: skip
 @click.option("--clean/--no-clean", default=None,
@@ -25,7 +26,7 @@ from .options import overwrite_option, run_option
 @overwrite_option
 @click.pass_context
 def command(
-    ctx: click.Context, run_path: Path, voxel: float | None, clean: bool | None, max_sigma: float | None,
+    ctx: click.Context, run_path: Path, wait: bool, voxel: float | None, clean: bool | None, max_sigma: float | None,
     min_confidence: float | None, out: Path | None, overwrite: bool,
 ) -> None:  # fmt: skip
     """Extract the surface of a finished map: colour, and in PLY sigma (expected error, metres), per vertex."""
@@ -35,8 +36,8 @@ def command(
 
     say = listener(ctx)
     summary = mesh_run(
-        RunDirectory(run_path), voxel_size_m=voxel, clean=clean, max_sigma_m=max_sigma or min_confidence, out=out,
-        overwrite=overwrite, on_event=say,
+        RunDirectory(run_path, wait), voxel_size_m=voxel, clean=clean, max_sigma_m=max_sigma or min_confidence,
+        out=out, overwrite=overwrite, on_event=say,
     )  # fmt: skip
     if summary.unchanged:
         say(Note(f"{summary.path} is done and unchanged; --overwrite redoes it."))

@@ -13,6 +13,9 @@ run_option = click.option(
     "--run", "run_path", type=click.Path(path_type=Path, file_okay=False), envvar="UNCLE_RUN", default=Path("run"),
     show_default="./run", help="Run directory (environment: UNCLE_RUN).",
 )  # fmt: skip
+wait_option = click.option(
+    "--wait", is_flag=True, help="Wait while another command writes into the run, instead of ending with an error."
+)
 overwrite_option = click.option("--overwrite", is_flag=True, help="Redo the stage even if it is done and unchanged.")
 json_option = click.option(
     "--json", "as_json", is_flag=True, help="Print JSON (SI units, ratios 0..1) instead of a table."

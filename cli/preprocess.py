@@ -8,7 +8,7 @@ import click
 
 from ..datasets.registry import open_dataset, reader_specs
 from .console import listener
-from .options import FrameRange, SensorsCommand, overwrite_option, run_option, sensors_option
+from .options import FrameRange, SensorsCommand, overwrite_option, run_option, sensors_option, wait_option
 
 
 def _format_help() -> str:
@@ -19,6 +19,7 @@ def _format_help() -> str:
 @click.command(cls=SensorsCommand)
 @click.argument("dataset", type=click.Path(path_type=Path))
 @run_option
+@wait_option
 @click.option("--format", "format_name", metavar="NAME", help=_format_help())
 @click.option("--frames", type=FrameRange(), metavar="START:STOP:STEP", help="Frames to take; all if not given.")
 @sensors_option("Depth sensors to take; all of the data set if not given.")
@@ -31,6 +32,7 @@ def command(
     ctx: click.Context,
     dataset: Path,
     run_path: Path,
+    wait: bool,
     format_name: str | None,
     frames: slice | None,
     sensors: tuple[str, ...],
@@ -52,7 +54,7 @@ def command(
     recording = open_dataset(dataset, format_name, on_event)
     summary = preprocess_run(
         recording,
-        RunDirectory(run_path),
+        RunDirectory(run_path, wait),
         dataset=dataset,
         frames=frames,
         sensors=sensors or None,

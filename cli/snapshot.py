@@ -7,7 +7,7 @@ from pathlib import Path
 import click
 
 from .console import listener
-from .options import run_option
+from .options import run_option, wait_option
 
 MODES = ["shaded", "color", "sigma", "error"]
 
@@ -35,6 +35,7 @@ class SizeType(click.ParamType[tuple[int, int]]):
 @click.command("snapshot")
 @click.argument("mesh", required=False, type=click.Path(path_type=Path), metavar="[MESH|RUN]")
 @run_option
+@wait_option
 @click.option("--gt", "reference", type=click.Path(path_type=Path, dir_okay=False), help="Ground-truth mesh.")
 @click.option(
     "--out", type=click.Path(path_type=Path, file_okay=False),
@@ -51,6 +52,7 @@ def command(
     ctx: click.Context,
     mesh: Path | None,
     run_path: Path,
+    wait: bool,
     reference: Path | None,
     out: Path | None,
     modes: tuple[str, ...],
@@ -68,7 +70,7 @@ def command(
     settings, on_event = SnapshotSettings(modes or None, size, renderer), listener(ctx)
     run_is_given = ctx.get_parameter_source("run_path") is click.core.ParameterSource.COMMANDLINE
     if mesh is None or mesh.is_dir():
-        run = RunDirectory(mesh or run_path)
+        run = RunDirectory(mesh or run_path, wait)
         sheets = snapshot_run(run, out or run.snapshots_path, reference, settings=settings, on_event=on_event)
     else:
         folder = out or mesh.with_name(f"{mesh.stem}_snapshots")

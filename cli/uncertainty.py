@@ -7,11 +7,12 @@ from pathlib import Path
 import click
 
 from .console import listener, print_json, print_table
-from .options import json_option, run_option
+from .options import json_option, run_option, wait_option
 
 
 @click.command("uncertainty")
 @run_option
+@wait_option
 @click.option("--sensor", "sensors", multiple=True, metavar="NAME", help="Repeatable.  [default: all in the map]")
 @click.option("--frame", type=click.IntRange(0), default=None, metavar="N",
               help="Draw this frame.  [default: a few, evenly spread]")  # fmt: skip
@@ -20,8 +21,9 @@ from .options import json_option, run_option
 @json_option
 @click.pass_context
 def command(
-    ctx: click.Context, run_path: Path, sensors: tuple[str, ...], frame: int | None, out: Path | None, as_json: bool
-) -> None:
+    ctx: click.Context, run_path: Path, wait: bool, sensors: tuple[str, ...], frame: int | None, out: Path | None,
+    as_json: bool,
+) -> None:  # fmt: skip
     """Show the error scale (beta) that a map learned for each sensor.
 
     Beta is the expected absolute error of a measurement. Printed are the weight share of each sensor, its typical betas
@@ -38,7 +40,7 @@ def command(
     from ..recon.stages.uncertainty import uncertainty_run
     from ..recon.visualization.uncertainty_table import summary_table
 
-    run, on_event = RunDirectory(run_path), listener(ctx)
+    run, on_event = RunDirectory(run_path, wait), listener(ctx)
     summary = uncertainty_run(run, out or run.snapshots_path, sensors, frame, on_event=on_event)
     on_event(Note(f"drawn: {', '.join(summary.pictures)}"))
     if as_json:

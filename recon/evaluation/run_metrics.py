@@ -60,8 +60,9 @@ def score_run(
 ) -> RunMetrics:
     """Score what `run` holds: mesh, trajectory, tracking record, held-out frames, uncertainty.
 
-    Raises RunError if there is no run, or nothing in it can be scored.
+    Raises RunError if there is no run, nothing in it can be scored, or its map or mesh is not of the present frames.
     """
+    run.require_current("map", "mesh")
     manifest, frames = run.load_manifest(), RunFrames(run)
     skipped: dict[str, str] = {}
     on_event(Note("scoring the mesh and the trajectory"))

@@ -28,9 +28,7 @@ class MapOutput:
         if self._alone:
             return
         self._alone, run = True, self.run
-        manifest = run.load_manifest()
-        manifest.stages = {name: record for name, record in manifest.stages.items() if name == "preprocess"}
-        run.save_manifest(manifest)
+        run.begin_stage("map")
         with explain_write_errors(run.root):
             shutil.rmtree(run.root / "beta", ignore_errors=True)
             for path in (

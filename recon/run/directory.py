@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import json
+import os
 import time
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -12,20 +14,31 @@ from pydantic import ValidationError
 from ..core.camera import Camera
 from ..core.errors import RunError
 from ..core.files import write_text
-from .manifest import SCHEMA_VERSION, Manifest, StageRecord, library_versions
+from .manifest import SCHEMA_VERSION, Manifest, StageRecord, config_hash, library_versions
+
+# stage -> the stages that are made from it
+MADE_FROM = {"preprocess": ("map", "mesh", "eval"), "map": ("mesh", "eval"), "mesh": ("eval",), "eval": ()}
+_RESULT = {"preprocess": "the frames", "map": "the map", "mesh": "the mesh", "eval": "the metrics"}
 
 
 class RunDirectory:
-    """Paths and manifest of one run. Reading never changes the folder; every `load_` reads the file again."""
+    """Paths and manifest of one run. Reading never changes the folder; every `load_` reads the file again.
 
-    def __init__(self, root: Path) -> None:
-        self.root = Path(root)
+    waits   a stage that would write into the run while another process does waits for it, instead of raising
+    """
+
+    def __init__(self, root: Path, waits: bool = False) -> None:
+        self.root, self.waits = Path(root), waits
 
     # --- paths -------------------------------------------------------------------------------------------------
     @property
     def manifest_path(self) -> Path:
         """Facts of the run and of its finished stages."""
         return self.root / "manifest.json"
+
+    @property
+    def lock_path(self) -> Path:
+        return self.root / ".lock"
 
     @property
     def frames_path(self) -> Path:
@@ -154,29 +167,100 @@ class RunDirectory:
 
     # --- stages ------------------------------------------------------------------------------------------------
     def is_current(self, stage: str, config_hash: str) -> bool:
-        """Whether `stage` is finished and was made with this configuration."""
-        record = self.load_manifest().stages.get(stage)
-        return record is not None and record.config_hash == config_hash
+        """Whether `stage` is finished, and was made with this configuration from the present results before it."""
+        manifest = self.load_manifest()
+        record = manifest.stages.get(stage)
+        return record is not None and record.config_hash == config_hash and not _outdated(manifest, stage)
 
-    def finish_stage(self, stage: str, config_hash: str, started: float, facts: dict[str, Any]) -> None:
-        """Record a stage as done; `started` is `time.time()` at its beginning. Raises RunError."""
+    def begin_stage(self, stage: str, manifest: Manifest | None = None) -> None:
+        """Mark the results of `stage` and all that was made from them as outdated, before the first of its files is
+        written: after an interruption nothing passes for the result of something else. A `manifest` replaces the
+        earlier one. Raises RunError.
+        """
+        manifest = manifest or self.load_manifest()
+        reasons = {stage: f"`uncle {stage}` has not finished writing"}
+        reasons |= dict.fromkeys(MADE_FROM[stage], f"made from earlier {_RESULT[stage].removeprefix('the ')}")
+        existing = {name for name in reasons if name in manifest.stages or self._result_path(name).exists()}
+        manifest.stages = {name: record for name, record in manifest.stages.items() if name not in reasons}
+        manifest.outdated = manifest.outdated | {name: reasons[name] for name in reasons if name in existing | {stage}}
+        self.save_manifest(manifest)
+
+    def finish_stage(
+        self, stage: str, config_hash: str, started: float, facts: dict[str, Any], inputs: Sequence[str] = (),
+        output: str | None = None,
+    ) -> None:  # fmt: skip
+        """Record a stage as done.
+
+        started   `time.time()` at its beginning
+        inputs    stages whose results it was made from; those that do not exist are left out
+        output    digest of what was made; None: one that no other result has
+
+        Raises RunError.
+        """
         manifest = self.load_manifest()
         record = StageRecord(
             config_hash=config_hash,
+            output=output or _unique_digest(stage, config_hash),
+            inputs={name: manifest.stages[name].output for name in inputs if name in manifest.stages},
             finished=time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime()),
             seconds=round(time.time() - started, 3),
             versions=library_versions(),
             facts=facts,
         )
         manifest.stages = {**manifest.stages, stage: record}
+        manifest.outdated = {name: reason for name, reason in manifest.outdated.items() if name != stage}
         self.save_manifest(manifest)
 
     def require_stage(self, stage: str) -> StageRecord:
-        """The record of a finished stage. Raises RunError naming the command that makes it."""
-        record = self.load_manifest().stages.get(stage)
+        """The record of a finished stage. Raises RunError naming the command that makes it, or makes it again."""
+        self.require_current(stage)
+        manifest = self.load_manifest()
+        record = manifest.stages.get(stage)
         if record is None:
-            raise RunError(f"{self.root} has no finished `{stage}` stage; run `uncle {stage} --run {self.root}` first")
+            command = _command(self.root, manifest, stage)
+            raise RunError(f"{self.root} has no finished `{stage}` stage; run `{command}` first")
         return record
+
+    def require_current(self, *stages: str) -> None:
+        """Raises RunError if a result of `stages` is not one of the present frames, or was not finished.
+
+        Stages without a result pass.
+        """
+        manifest = self.load_manifest()
+        for stage in stages:
+            if reason := _outdated(manifest, stage):
+                command = _command(self.root, manifest, stage)
+                raise RunError(f"{_RESULT[stage]} of {self.root} cannot be used: {reason}; redo with `{command}`")
+
+    def _result_path(self, stage: str) -> Path:
+        """A file that exists if the stage ever wrote a result."""
+        paths = {"preprocess": self.frames_path, "map": self.field_path, "mesh": self.mesh_path}
+        return paths.get(stage, self.metrics_path)
+
+
+def _outdated(manifest: Manifest, stage: str) -> str:
+    """Why the result of a stage is not one of the present frames; empty if it is, or does not exist."""
+    if stage in manifest.outdated:
+        return manifest.outdated[stage]
+    record = manifest.stages.get(stage)
+    for name, digest in record.inputs.items() if record is not None else ():
+        source = manifest.stages.get(name)
+        if source is None or source.output != digest:
+            return f"made from other {_RESULT[name].removeprefix('the ')}"
+        if reason := _outdated(manifest, name):
+            return reason
+    return ""
+
+
+def _command(root: Path, manifest: Manifest, stage: str) -> str:
+    """The command line that makes the result of a stage."""
+    return (
+        f"uncle preprocess {manifest.dataset} --run {root}" if stage == "preprocess" else f"uncle {stage} --run {root}"
+    )
+
+
+def _unique_digest(*parts: object) -> str:
+    return config_hash(*parts, time.time_ns(), os.getpid())
 
 
 def _dataset_of(content: Any) -> str:

@@ -32,6 +32,8 @@ class StageRecord(BaseModel):
 
     model_config = ConfigDict(frozen=True, extra="forbid")
     config_hash: str
+    output: str = ""  # digest of what it made; of `preprocess`: of the frames themselves
+    inputs: dict[str, str] = {}  # stage -> its `output` that this one was made from
     finished: str
     seconds: float
     versions: dict[str, str]
@@ -55,6 +57,7 @@ class Manifest(BaseModel):
     )
     skipped: dict[str, str] = {}  # "source index[/sensor]" -> reason
     stages: dict[str, StageRecord] = {}
+    outdated: dict[str, str] = {}  # stage whose files are no longer those of the run -> reason
 
     def pinhole_camera(self) -> Camera:
         """`camera` as a value."""

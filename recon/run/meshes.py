@@ -11,9 +11,9 @@ from .directory import RunDirectory
 
 
 def load_run_mesh(run: RunDirectory) -> Mesh:
-    """RUN/mesh.ply. Raises RunError if there is no run or it has no mesh yet, DataError if the file is broken."""
+    """RUN/mesh.ply. Raises RunError if there is no run, or no mesh of its map; DataError if the file is broken."""
+    run.require_current("mesh")
     if not run.mesh_path.is_file():
-        run.require()
         raise RunError(f"{run.root} has no mesh; make it with `uncle mesh --run {run.root}`")
     return Mesh.load(run.mesh_path)
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 
 from ..core.errors import DataError
@@ -23,9 +23,13 @@ from ..evaluation.trajectory_metrics import TrajectoryMetrics, evaluate_trajecto
 from ..evaluation.trajectory_pair import CameraPath
 from ..evaluation.visibility import Visibility
 from ..run.directory import RunDirectory
+from ..run.lock import reading, writing
+from ..run.manifest import config_hash
 from ..run.meshes import load_reference_surface
 from ..visualization.trajectory_charts import draw_camera_path
 from .base import StageSummary
+
+STAGE = "eval"
 
 __all__ = ["EvaluationSettings", "EvaluationSummary", "evaluate_mesh_file", "evaluate_run", "evaluate_trajectory_file"]
 
@@ -50,22 +54,40 @@ def evaluate_run(
     error_mesh   also write the mesh, coloured by its distance to the ground truth, to this file
     plots        folder of trajectory.png and drift.png; None: RUN/snapshots
 
-    Raises RunError if there is no run or nothing in it can be scored, DataError if an error mesh cannot be made.
+    A run that cannot be written is scored, too; the scores are then only returned. Raises RunError if there is no run,
+    nothing in it can be scored, its map or mesh is not of the present frames, or another process writes into it;
+    DataError if an error mesh cannot be made.
     """
     started = time.time()
     if error_mesh is not None:
         require_writable_suffix(error_mesh)
-    metrics = score_run(run, settings, on_event)
-    metrics.save(run.metrics_path)
-    if error_mesh is not None:
-        mesh_metrics = metrics.surface.mesh if metrics.surface is not None else None
-        write_error_mesh(error_mesh, Mesh.load(run.mesh_path), load_reference_surface(run), mesh_metrics)
-    if metrics.trajectory is not None or metrics.tracking is not None:
-        try:
-            _draw(CameraPath.of_run(run), plots or run.snapshots_path, on_event)
-        except DataError as error:
-            on_event(Warn(f"the trajectory is not drawn: {error}"))
+    with writing(run, STAGE, on_event, may_be_read_only=True) as is_writable:
+        if is_writable:
+            metrics = _score_and_save(run, settings, on_event)
+        else:
+            on_event(Warn(f"{run.root} is read-only: the scores are not written there"))
+            with reading(run):
+                metrics = score_run(run, settings, on_event)
+        if error_mesh is not None:
+            mesh_metrics = metrics.surface.mesh if metrics.surface is not None else None
+            write_error_mesh(error_mesh, Mesh.load(run.mesh_path), load_reference_surface(run), mesh_metrics)
+        charts = plots or (run.snapshots_path if is_writable else None)
+        if charts is not None and (metrics.trajectory is not None or metrics.tracking is not None):
+            try:
+                _draw(CameraPath.of_run(run), charts, on_event)
+            except DataError as error:
+                on_event(Warn(f"the trajectory is not drawn: {error}"))
     return EvaluationSummary(metrics=metrics, seconds=time.time() - started)
+
+
+def _score_and_save(run: RunDirectory, settings: EvaluationSettings, on_event: OnEvent) -> RunMetrics:
+    started = time.time()
+    metrics = score_run(run, settings, on_event)
+    run.begin_stage(STAGE)
+    metrics.save(run.metrics_path)
+    digest = config_hash(asdict(settings))
+    run.finish_stage(STAGE, digest, started, {}, inputs=("preprocess", "map", "mesh"))
+    return metrics
 
 
 def evaluate_mesh_file(

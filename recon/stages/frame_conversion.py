@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import hashlib
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
@@ -19,11 +21,12 @@ MAX_DEPTH_M = 65535 / DEPTH_UNITS_PER_M  # what a 16-bit image of millimetres ca
 
 @dataclass(frozen=True)
 class FrameResult:
-    """Result of converting one frame: `record` is None if it was skipped."""
+    """Result of converting one frame: `record` is None if it was skipped; `digest` of the images of the others."""
 
     source_index: int
     record: FrameRecord | None
     skipped: dict[str, str]  # as in Manifest.skipped
+    digest: str = ""
 
 
 @dataclass(frozen=True)
@@ -55,7 +58,7 @@ class FrameConverter:
         write_image(staging.color_path(record.color), color)
         for sensor, depth in valid.items():
             self._write_sensor(staging, sensor, index, depth)
-        return FrameResult(source_index, record, skipped)
+        return FrameResult(source_index, record, skipped, _digest((color, *valid.values())))
 
     def _record(self, index: int, source_index: int, sensors: tuple[str, ...]) -> FrameRecord:
         pose = self.recording.pose(source_index)
@@ -72,6 +75,14 @@ class FrameConverter:
         write_image(staging.depth_path(sensor, index), encode_metres(depth, DEPTH_UNITS_PER_M))
         directions = normals(smooth_depth(depth), self.recording.camera)
         write_image(staging.normal_path(sensor, index), encode_normals(directions))
+
+
+def _digest(images: Iterable[np.ndarray]) -> str:
+    """Digest of the content of some images."""
+    digest = hashlib.sha256()
+    for image in images:
+        digest.update(np.ascontiguousarray(image).tobytes())
+    return digest.hexdigest()
 
 
 def cleaned_depth(depth: np.ndarray) -> np.ndarray:

@@ -24,6 +24,7 @@ from ..methods.runners import make_map
 from ..run.checkpoint import Checkpoint
 from ..run.directory import RunDirectory
 from ..run.frames import RunFrames
+from ..run.lock import writing
 from ..run.manifest import Manifest, config_hash
 from ..run.tracking_record import TrackingRecord
 from ..sensors.noise_prior import NoisePrior
@@ -50,14 +51,22 @@ def map_run(
 
     A finished map of the same settings and the same `prior`, which the noise models start from, is kept unless
     `overwrite`; `resume` continues an interrupted one. Raises ConfigError for unknown sensors or a prior that does not
-    fit, DataError if nothing can be mapped, RunError for files.
+    fit, DataError if nothing can be mapped, RunError for files, or if another process writes into the run.
     """
+    with writing(run, STAGE, on_event):
+        return _map(run, config, prior, resume, overwrite, on_event)
+
+
+def _map(
+    run: RunDirectory, config: MapConfig, prior: NoisePrior | None, resume: bool, overwrite: bool, on_event: OnEvent
+) -> MapSummary:
     manifest = run.load_manifest()
     config = config.model_copy(update={"sensors": choose_sensors(manifest, config.sensors)})
     spec = method_spec(config.method)
     spec.check_sensors(config.sensors)
+    preprocessed = run.require_stage("preprocess")
     made_with = [
-        run.require_stage("preprocess").config_hash,
+        preprocessed.output or preprocessed.config_hash,
         *([prior.digest] if prior else []),
         *spec.trained_digests(config),
     ]
@@ -74,6 +83,7 @@ def map_run(
     started = time.time()
     result = make_map(MapJob(run, frames, indices, config, checkpoint, prior, on_event))
     facts |= result.facts
+    run.begin_stage(STAGE)
     save_tensors(run.field_path, result.field.to_state())
     _trajectory(frames, result.poses).save(run.trajectory_path)
     if result.tracking is not None:
@@ -88,7 +98,7 @@ def map_run(
         "peak_memory_mb": peak_memory_mb(),
         **gpu_memory(),
     }
-    run.finish_stage(STAGE, digest, started, facts)
+    run.finish_stage(STAGE, digest, started, facts, inputs=("preprocess",))
     checkpoint.remove()
     return MapSummary(frames=len(result.poses), seconds=time.time() - started, peak_memory_mb=facts["peak_memory_mb"])
 

@@ -26,6 +26,7 @@ from ..core.trajectory import Trajectory
 from ..evaluation.inspection.correspondences import FrameInterval
 from ..evaluation.inspection.inspector import QUICK, THOROUGH, inspect_recording
 from ..run.directory import RunDirectory
+from ..run.lock import writing
 from ..run.manifest import FrameRecord, Manifest, config_hash
 from .base import StageSummary
 from .frame_conversion import FrameConverter, FrameResult
@@ -68,45 +69,51 @@ def preprocess_run(  # noqa: PLR0913 (one argument for each option of the comman
     Stages made from earlier frames are marked as not done.
 
     Raises DataError if something is wrong, if a sensor is unknown or has no depth in any frame, or if no frame is
-    usable; RunError if the run cannot be written.
+    usable; RunError if the run cannot be written, or another process writes into it.
     """
     chosen = _chosen_sensors(recording, sensors)
     indices = range(len(recording))[frames or slice(None)]
     if not indices:
         raise DataError(f"--frames selects none of the {len(recording)} frames of {dataset}")
+    if run.root.resolve() == dataset.resolve():
+        raise RunError(f"{run.root} is the data set itself; choose another place with --run")
     settings = config_hash(dataset_hash(dataset, run.root), recording.format, [*indices], chosen, lossless, fix)
-    earlier = _earlier_manifest(run, dataset)
-    if not overwrite and earlier and STAGE in earlier.stages and earlier.stages[STAGE].config_hash == settings:
-        return _unchanged(run, earlier, on_event)
+    with writing(run, STAGE, on_event, is_new=True):
+        earlier = _earlier_manifest(run)
+        if not overwrite and earlier and STAGE in earlier.stages and earlier.stages[STAGE].config_hash == settings:
+            return _unchanged(run, earlier, on_event)
 
-    started = time.time()
-    for note in recording.notes:
-        on_event(Note(note))
-    correction = _inspect(recording, indices, chosen, fix=fix, force=force, on_event=on_event)
-    if correction is not None:
-        recording = CorrectedRecording(recording, correction)
-    converter = FrameConverter(recording, chosen, ".png" if lossless else ".jpg")
-    with _staging(run) as staging:
-        results = _convert_all(converter, staging, indices, on_event)
-        _report(results, recording, on_event)
-        records = _renumbered(results, staging)
-        _require_usable(records, results, chosen, dataset)
-        write_text(staging.frames_path, json.dumps([record.model_dump(mode="json") for record in records], indent=1))
-        manifest = _manifest(recording, dataset, chosen, results)
-        if stale := [stage for stage in (earlier.stages if earlier else ()) if stage != STAGE]:
+        started = time.time()
+        for note in recording.notes:
+            on_event(Note(note))
+        correction = _inspect(recording, indices, chosen, fix=fix, force=force, on_event=on_event)
+        if correction is not None:
+            recording = CorrectedRecording(recording, correction)
+        converter = FrameConverter(recording, chosen, ".png" if lossless else ".jpg")
+        with _staging(run) as staging:
+            results = _convert_all(converter, staging, indices, on_event)
+            _report(results, recording, on_event)
+            records = _renumbered(results, staging)
+            _require_usable(records, results, chosen, dataset)
+            rows = [record.model_dump(mode="json") for record in records]
+            write_text(staging.frames_path, json.dumps(rows, indent=1))
+            manifest = _manifest(recording, dataset, chosen, results)
+            if earlier is not None:
+                manifest.stages, manifest.outdated = earlier.stages, earlier.outdated
+            _publish(run, staging, manifest, records)
+        if stale := [stage for stage in run.load_manifest().outdated if stage != STAGE]:
             on_event(Warn(f"these stages were made from the earlier frames; run them again: {', '.join(stale)}"))
-        _publish(run, staging, manifest, records)
-    seconds = time.time() - started
-    facts = {
-        "frames": len(records),
-        "frames_per_s": round(len(indices) / seconds, 1),
-        "sensors": list(chosen),
-        "frame_range": [indices.start, indices.stop, indices.step],
-        "lossless": lossless,
-        "correction": correction.describe() if correction is not None else {},
-    }
-    run.finish_stage(STAGE, settings, started, facts)
-    return PreprocessSummary(frames=len(records), sensors=chosen, skipped=manifest.skipped, seconds=seconds)
+        seconds = time.time() - started
+        facts = {
+            "frames": len(records),
+            "frames_per_s": round(len(indices) / seconds, 1),
+            "sensors": list(chosen),
+            "frame_range": [indices.start, indices.stop, indices.step],
+            "lossless": lossless,
+            "correction": correction.describe() if correction is not None else {},
+        }
+        run.finish_stage(STAGE, settings, started, facts, output=frames_digest(manifest, records, results))
+        return PreprocessSummary(frames=len(records), sensors=chosen, skipped=manifest.skipped, seconds=seconds)
 
 
 def _inspect(
@@ -139,6 +146,13 @@ def dataset_hash(dataset: Path, excluded: Path) -> str:
     return digest.hexdigest()
 
 
+def frames_digest(manifest: Manifest, records: Sequence[FrameRecord], results: Sequence[FrameResult]) -> str:
+    """Digest of all that later stages read of the frames: images, poses, time stamps, camera."""
+    images = [result.digest for result in results if result.record]
+    values = manifest.model_dump(mode="json", include={"camera", "has_timestamps", "registration_sigma_px"})
+    return config_hash(images, [record.model_dump(mode="json") for record in records], values)
+
+
 def _chosen_sensors(recording: Recording, sensors: Sequence[str] | None) -> tuple[str, ...]:
     chosen = tuple(dict.fromkeys(sensors)) if sensors else recording.sensors
     unknown = [name for name in chosen if name not in recording.sensors]
@@ -147,10 +161,8 @@ def _chosen_sensors(recording: Recording, sensors: Sequence[str] | None) -> tupl
     return chosen
 
 
-def _earlier_manifest(run: RunDirectory, dataset: Path) -> Manifest | None:
+def _earlier_manifest(run: RunDirectory) -> Manifest | None:
     """The manifest of `run`; None if there is none, or none that can be read. Raises RunError if it is not a run."""
-    if run.root.resolve() == dataset.resolve():
-        raise RunError(f"{run.root} is the data set itself; choose another place with --run")
     if not run.manifest_path.exists():
         if run.frames_path.parent.exists():
             raise RunError(f"{run.frames_path.parent} is not part of a run; choose another place with --run")
@@ -173,7 +185,6 @@ def _unchanged(run: RunDirectory, manifest: Manifest, on_event: OnEvent) -> Prep
 def _staging(run: RunDirectory) -> Iterator[RunDirectory]:
     """A temporary run directory inside `run` for the new frames; it is always removed afterwards."""
     staging = RunDirectory(run.root / "frames.part")
-    existed = run.root.exists()
     with explain_write_errors(run.root):
         shutil.rmtree(staging.root, ignore_errors=True)  # of an interrupted attempt
         staging.root.mkdir(parents=True)
@@ -181,8 +192,6 @@ def _staging(run: RunDirectory) -> Iterator[RunDirectory]:
         yield staging
     finally:
         shutil.rmtree(staging.root, ignore_errors=True)
-        if not existed and not any(run.root.iterdir()):
-            run.root.rmdir()
 
 
 def _convert_all(
@@ -276,9 +285,9 @@ def _manifest(
 
 
 def _publish(run: RunDirectory, staging: RunDirectory, manifest: Manifest, records: Sequence[FrameRecord]) -> None:
-    """Replace the old frames by the new. The manifest, without stages, is written first: an interrupted replacement
-    is then recognised as unfinished."""
-    run.save_manifest(manifest)
+    """Replace the old frames by the new. The manifest without finished stages is written first: an interrupted
+    replacement is then recognised as unfinished."""
+    run.begin_stage(STAGE, manifest)
     with explain_write_errors(run.root):
         current, replaced = run.frames_path.parent, staging.root / "replaced"
         if current.exists():

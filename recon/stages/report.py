@@ -10,6 +10,7 @@ from ..core.events import OnEvent, Progress, Warn, ignore
 from ..core.files import write_text
 from ..core.html import Section, missing, page
 from ..run.directory import RunDirectory
+from ..run.lock import writing
 from ..visualization.report_sections import report_sections
 
 STAGE = "report"
@@ -18,9 +19,16 @@ STAGE = "report"
 def report_run(run: RunDirectory, renderer: str = "auto", on_event: OnEvent = ignore) -> Path:
     """Write RUN/report.html, with fresh snapshots of the run's mesh, camera and sensors; returns its path.
 
-    What the run does not hold is named on the page with the command that makes it. Raises RunError without a run,
-    DependencyError if the chosen renderer does not run.
+    What the run does not hold is named on the page with the command that makes it. Raises RunError if there is no run,
+    its map or mesh is not of the present frames, or another process writes into it; DependencyError if the chosen
+    renderer does not run.
     """
+    with writing(run, STAGE, on_event):
+        run.require_current("preprocess", "map", "mesh")
+        return _write_page(run, renderer, on_event)
+
+
+def _write_page(run: RunDirectory, renderer: str, on_event: OnEvent) -> Path:
     manifest = run.load_manifest()
     parts = report_sections(run, renderer, on_event)
     sections = []

@@ -10,10 +10,13 @@ from ..core.errors import DataError
 from ..core.events import OnEvent, Warn, ignore
 from ..core.mesh import Mesh
 from ..run.directory import RunDirectory
+from ..run.lock import writing_to
 from ..run.meshes import load_reference_mesh, load_run_mesh
 from ..visualization.mesh_pictures import draw_mesh, snapshot_views
 from ..visualization.sensor_pictures import draw_sensors
 from ..visualization.views import DEFAULT_SIZE
+
+STAGE = "snapshot"
 
 
 @dataclass(frozen=True)
@@ -57,13 +60,15 @@ def snapshot_run(
 ) -> list[Path]:
     """Draw the mesh of a run and, unless `settings` names modes, its sensors; returns the picture files in `out`.
 
-    `reference` replaces the ground-truth mesh of the data set. Raises RunError (no run, no mesh), DataError,
-    DependencyError.
+    `reference` replaces the ground-truth mesh of the data set. Raises RunError (no run, no mesh of its present frames,
+    in use by another process), DataError, DependencyError.
     """
-    mesh = load_run_mesh(run)
-    truth = Mesh.load(reference) if reference is not None else _reference_of_data_set(run, on_event)
-    sheets = _draw(mesh, out, run, truth, settings, on_event)
-    return sheets + ([] if settings.modes else draw_sensors(run, out, on_event))
+    with writing_to(run, out, STAGE, on_event):
+        run.require_current("map")
+        mesh = load_run_mesh(run)
+        truth = Mesh.load(reference) if reference is not None else _reference_of_data_set(run, on_event)
+        sheets = _draw(mesh, out, run, truth, settings, on_event)
+        return sheets + ([] if settings.modes else draw_sensors(run, out, on_event))
 
 
 def _draw(

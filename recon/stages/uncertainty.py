@@ -19,9 +19,12 @@ from ..evaluation.sensor_uncertainty import score_uncertainty
 from ..evaluation.uncertainty_calibration import UncertaintyMetrics
 from ..run.directory import RunDirectory
 from ..run.frames import RunFrames
+from ..run.lock import writing_to
 from ..visualization.report_charts import noise_chart, reliability_chart, uncertainty_calibration_chart
 from ..visualization.sensor_pictures import draw_sensors
 from .base import StageSummary
+
+STAGE = "uncertainty"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -46,9 +49,16 @@ def uncertainty_run(
     """Summarise the uncertainty of all sensors of a map, or of `sensors`, and draw it into the folder `out`.
 
     For each sensor these are drawn: depth, beta and true error of a few frames, or of `frame`; noise against depth and
-    incidence angle; and, where the true depth is known, the calibration. Raises RunError (no map), ConfigError (no such
-    sensor or frame), DataError (no uncertainty was learned).
+    incidence angle; and, where the true depth is known, the calibration. Raises RunError (no map of the present frames,
+    in use by another process), ConfigError (no such sensor or frame), DataError (no uncertainty was learned).
     """
+    with writing_to(run, out, STAGE, on_event):
+        return _summarise(run, out, sensors, frame, seed, on_event)
+
+
+def _summarise(
+    run: RunDirectory, out: Path, sensors: Sequence[str], frame: int | None, seed: int, on_event: OnEvent
+) -> UncertaintySummary:
     started = time.time()
     run.require_stage("map")
     frames = RunFrames(run)

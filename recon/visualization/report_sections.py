@@ -7,6 +7,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+from ..core.errors import RunError
 from ..core.events import OnEvent
 from ..core.html import embed_picture, explain, heading, missing, preformatted, table
 from ..core.number_format import format_grouped
@@ -95,7 +96,7 @@ def mesh_section(run: RunDirectory, renderer: str, on_event: OnEvent) -> str:
 
 
 def _vertex_sigma(run: RunDirectory) -> str:
-    surface = (_read_json(run.metrics_path) or {}).get("surface")
+    surface = _metrics(run).get("surface")
     scores = surface.get("vertex_sigma") if isinstance(surface, dict) else None
     curves = scores.get("curves") if isinstance(scores, dict) else None
     chart = vertex_sigma_chart(curves) if isinstance(curves, dict) else None
@@ -106,7 +107,7 @@ def sensors_section(run: RunDirectory, on_event: OnEvent) -> str:
     """Summary table, pictures, noise curves and calibration of every sensor but the ground truth."""
     frames = RunFrames(run)
     sheets = {path.stem.removeprefix("sensor_"): path for path in draw_sensors(run, run.snapshots_path, on_event)}
-    metrics = _read_json(run.metrics_path) or {}
+    metrics = _metrics(run)
     scores = metrics.get("uncertainty")
     samples = {sensor: collect_beta_samples(frames, sensor) for sensor in estimated_sensors(frames)}
     parts = [_summary(run, samples)]
@@ -176,7 +177,11 @@ def curves_section(run: RunDirectory) -> str:
 
 def metrics_section(run: RunDirectory) -> str:
     """Every number of metrics.json."""
-    metrics = _read_json(run.metrics_path)
+    try:
+        run.require_current("eval")
+    except RunError as error:
+        return missing(str(error))
+    metrics = _metrics(run)
     if not metrics:
         return missing(f"There are no scores; make them with `uncle eval --run {run.root}`.")
     ordered = {key: metrics[key] for key in (*_METRICS_ORDER, *metrics) if key in metrics}
@@ -212,6 +217,15 @@ def configuration_section(run: RunDirectory) -> str:
         return preformatted(run.config_path.read_text(errors="replace"))
     except OSError:
         return missing(f"There is no configuration; `uncle map --run {run.root}` writes it.")
+
+
+def _metrics(run: RunDirectory) -> dict[str, Any]:
+    """metrics.json; empty where there is none, or it is not of the present mesh and map."""
+    try:
+        run.require_current("eval")
+    except RunError:
+        return {}
+    return _read_json(run.metrics_path) or {}
 
 
 def _read_json(path: Path) -> dict[str, Any] | None:

@@ -73,3 +73,53 @@ def test_meshes_that_are_missing(run, tmp_path):
     with pytest.raises(DataError, match=r"gone\.ply"):
         load_reference_mesh(run)
     assert not has_reference_mesh(run)
+
+
+def finish(run, *stages):
+    made_from = {"preprocess": (), "map": ("preprocess",), "mesh": ("map",), "eval": ("preprocess", "map", "mesh")}
+    for stage in stages:
+        run.begin_stage(stage)
+        run.finish_stage(stage, "hash", 0.0, {}, inputs=made_from[stage])
+
+
+def test_what_is_made_from_earlier_results_is_outdated_until_it_is_made_again(run):
+    finish(run, "preprocess", "map", "mesh", "eval")
+    run.require_current("preprocess", "map", "mesh", "eval")
+    finish(run, "map")
+    with pytest.raises(RunError, match=r"the mesh of .* made from earlier map; redo with `uncle mesh --run"):
+        run.require_stage("mesh")
+    with pytest.raises(RunError, match=r"the metrics of .*; redo with `uncle eval --run"):
+        run.require_current("eval")
+    finish(run, "mesh", "eval")
+    run.require_current("preprocess", "map", "mesh", "eval")
+    finish(run, "preprocess")
+    for stage in ("map", "mesh", "eval"):
+        with pytest.raises(RunError, match="made from earlier frames"):
+            run.require_current(stage)
+
+
+def test_a_stage_that_was_interrupted_while_it_wrote_has_no_result(run):
+    finish(run, "preprocess", "map")
+    run.begin_stage("map")
+    with pytest.raises(RunError, match=r"`uncle map` has not finished writing; redo with `uncle map --run"):
+        run.require_stage("map")
+    assert not run.is_current("map", "hash")
+
+
+def test_a_record_of_other_frames_is_noticed(run):
+    """Files of two runs in one folder: the records do not belong together."""
+    finish(run, "preprocess", "map", "mesh")
+    other = run.load_manifest()
+    other.stages["preprocess"] = other.stages["preprocess"].model_copy(update={"output": "of other frames"})
+    run.save_manifest(other)
+    for stage in ("map", "mesh"):
+        with pytest.raises(RunError, match="made from other frames"):
+            run.require_stage(stage)
+        assert not run.is_current(stage, "hash")
+
+
+def test_results_without_a_record_are_outdated_by_other_frames(run):
+    run.mesh_path.write_text("of an earlier version")
+    finish(run, "preprocess")
+    with pytest.raises(RunError, match="made from earlier frames"):
+        load_run_mesh(run)

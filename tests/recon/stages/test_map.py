@@ -232,6 +232,8 @@ def test_a_broken_run_is_not_taken_for_a_finished_one(make_mappable_run):
     map_run(run, settings())
     with pytest.raises(Broken):
         map_run(run, settings(seed=1), on_event=break_at("writing beta", 6))
+    with pytest.raises(RunError, match="`uncle map` has not finished writing; redo with"):
+        load_field(run)
     assert not map_run(run, settings()).unchanged
 
 
@@ -264,7 +266,7 @@ def test_resume_without_a_broken_run_is_a_run(make_mappable_run):
 CHILD = """
 import os, signal, sys
 from functools import partial
-from uncle.recon import map_stage
+from uncle.recon.stages import map as map_stage
 replace, left = os.replace, int(os.environ["KILL"])
 def counted(*paths):
     global left
