@@ -38,6 +38,7 @@ class RunDirectory:
 
     @property
     def lock_path(self) -> Path:
+        """Who writes into the run at the moment (`lock.py`)."""
         return self.root / ".lock"
 
     @property
