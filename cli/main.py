@@ -2,11 +2,19 @@
 
 from __future__ import annotations
 
+import errno
 import importlib
+import io
 import logging
+import sys
+from contextlib import suppress
 from typing import Any
 
 import click
+
+from .process import open_missing_streams, provide_matplotlib_folder
+
+_FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 
 # command -> one-line help. Its module is imported only when the command runs or shows its own help.
 COMMANDS: dict[str, str] = {
@@ -51,6 +59,20 @@ class LazyGroup(click.Group):
         """Write the one-line helps, which need no import."""
         with formatter.section("Commands"):
             formatter.write_dl(list(self.lazy.items()))
+
+    def main(self, *args: Any, **kwargs: Any) -> Any:
+        """Run the program. Streams that are closed are no error; click ends quietly after `| head`."""
+        open_missing_streams()
+        provide_matplotlib_folder()
+        try:
+            return super().main(*args, **kwargs)
+        except OSError as error:
+            if error.errno not in _FULL or error.filename is not None:  # files name themselves, streams do not
+                raise
+            with suppress(OSError):
+                click.echo(f"Error: cannot write the output: {error.strerror}", err=True)
+            sys.stdout = sys.stderr = io.StringIO()  # or Python complains again when it closes them
+            sys.exit(1)
 
     def invoke(self, ctx: click.Context) -> Any:
         """Run a command; errors meant for people become one line and exit code 1."""
@@ -100,7 +122,10 @@ def main(ctx: click.Context, verbose: bool, quiet: bool) -> None:
     uncle eval
     """
     ctx.obj = {"quiet": quiet}
-    logging.basicConfig(level=logging.DEBUG if verbose else logging.ERROR if quiet else logging.WARNING)
+    logging.basicConfig(
+        format="%(levelname)s: %(message)s",
+        level=logging.DEBUG if verbose else logging.ERROR if quiet else logging.WARNING,
+    )
 
 
 if __name__ == "__main__":

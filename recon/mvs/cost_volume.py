@@ -9,9 +9,9 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-from numba import njit
 
 from ..core.camera import Camera
+from ..core.compiled import compiled
 
 
 @dataclass(frozen=True)
@@ -83,7 +83,7 @@ def _box(image: np.ndarray, window_px: int) -> np.ndarray:
     return mean
 
 
-@njit(nogil=True, cache=True, fastmath=True)
+@compiled(fastmath=True)
 def _warp(
     source: np.ndarray,
     rays: np.ndarray,
@@ -121,7 +121,7 @@ def _warp(
             warped[row, column] = upper * (1 - b) + lower * b
 
 
-@njit(nogil=True, cache=True)
+@compiled()
 def _correlate(
     mean: np.ndarray,
     variance: np.ndarray,
@@ -145,7 +145,7 @@ def _correlate(
             score[row, column] = covariance / np.sqrt((reference_variance + noise) * (source_variance + noise))
 
 
-@njit(nogil=True, cache=True)
+@compiled()
 def _mean_of_better_half(scores: np.ndarray, result: np.ndarray) -> None:
     """scores (K, H, W), NaN = not seen by that source -> `result` (H, W): mean of the higher half of the scores."""
     best = np.empty(len(scores), np.float32)

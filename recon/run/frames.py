@@ -11,10 +11,10 @@ from typing import TypeVar
 import cv2
 import numpy as np
 import torch
-from numba import njit
 from torch import Tensor
 
 from ..core.camera import Camera
+from ..core.compiled import compiled
 from ..core.errors import DataError, RunError
 from ..core.files import BETA_UNITS_PER_M, DEPTH_UNITS_PER_M, read_image
 from ..core.frame import Frame
@@ -121,7 +121,7 @@ def decode_normals(image: np.ndarray) -> Tensor:
     return torch.from_numpy(normals)
 
 
-@njit(nogil=True, cache=True)
+@compiled()
 def _decode(picture: np.ndarray, normals: np.ndarray) -> None:
     for pixel in range(len(picture)):
         known = np.float32(picture[pixel, 0] != 0)  # every channel of a known normal is at least 1

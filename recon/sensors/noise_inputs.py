@@ -13,10 +13,10 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 import torch
-from numba import njit
 from torch import Tensor
 
 from ..core.camera import Camera
+from ..core.compiled import compiled
 from ..core.normals import incidence
 
 WINDOWS = (3, 7, 15)  # pixels
@@ -97,7 +97,7 @@ def _neighbourhood(
     INVERSE_DEPTH.encode(spread, spread)
 
 
-@njit(nogil=True, cache=True)
+@compiled()
 def _summarise(
     inverse: np.ndarray, ratio: np.ndarray, mean: np.ndarray, square: np.ndarray, spread: np.ndarray,
     offset: np.ndarray, holes: np.ndarray,

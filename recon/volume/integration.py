@@ -9,10 +9,10 @@ from dataclasses import dataclass
 
 import numpy as np
 import torch
-from numba import njit
 from torch import Tensor
 
 from ..core.camera import Camera
+from ..core.compiled import compiled
 from ..core.threads import share_out
 from .sparse_grid import BLOCK, ROWS
 
@@ -134,7 +134,7 @@ def _array(values: Tensor | None) -> np.ndarray:
     return np.zeros((0, 0), np.float32) if values is None else np.ascontiguousarray(values.numpy(), dtype=np.float32)
 
 
-@njit(nogil=True, cache=True)
+@compiled()
 def _add(
     sums: np.ndarray, color_sums: np.ndarray, ids: np.ndarray, corners: np.ndarray, steps: np.ndarray,
     depth: np.ndarray, weight: np.ndarray, free_weight: np.ndarray, free_scale: np.ndarray, color: np.ndarray,

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 import torch
-from numba import njit
 from torch import Tensor
 
+from ..core.compiled import compiled
 from .sparse_grid import SparseGrid, row_of
 
 CHUNK = 8192  # rays at a time: about 100 MB
@@ -70,7 +70,7 @@ def _first_crossing(values: Tensor) -> tuple[Tensor, Tensor]:
     return crossing.any(1), crossing.int().argmax(1)
 
 
-@njit(nogil=True, cache=True)
+@compiled()
 def _march(
     origins: np.ndarray, directions: np.ndarray, sdf: np.ndarray, known: np.ndarray, volume: np.ndarray,
     origin: np.ndarray, voxel: float, step: float, steps: int,
@@ -99,7 +99,7 @@ def _march(
     return depth
 
 
-@njit(nogil=True, cache=True)
+@compiled()
 def _refined(
     start: np.ndarray, direction: np.ndarray, first: float, spacing: float, sdf: np.ndarray, known: np.ndarray,
     volume: np.ndarray, origin: np.ndarray,
@@ -114,7 +114,7 @@ def _refined(
     return 0.0
 
 
-@njit(nogil=True, cache=True)
+@compiled()
 def _interpolated(
     start: np.ndarray, direction: np.ndarray, z: float, sdf: np.ndarray, known: np.ndarray, volume: np.ndarray,
     origin: np.ndarray,

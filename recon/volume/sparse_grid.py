@@ -8,8 +8,9 @@ from __future__ import annotations
 
 import numpy as np
 import torch
-from numba import njit
 from torch import Tensor
+
+from ..core.compiled import compiled
 
 BLOCK_BITS = 3
 BLOCK = 1 << BLOCK_BITS  # samples on a side: a power of two, so that compiled loops find blocks by shifts
@@ -139,7 +140,7 @@ def unique_blocks(blocks: Tensor) -> Tensor:
     return torch.stack([keys >> 42, (keys >> 21) & mask, keys & mask], -1) - half
 
 
-@njit(nogil=True, cache=True)
+@compiled()
 def row_of(x: Index, y: Index, z: Index, volume: np.ndarray, origin: np.ndarray) -> Index:
     """`SparseGrid.sample_rows` of one sample, for compiled loops; volume and origin from `SparseGrid.lookup`."""
     i, j, k = (x >> BLOCK_BITS) - origin[0], (y >> BLOCK_BITS) - origin[1], (z >> BLOCK_BITS) - origin[2]
@@ -150,7 +151,7 @@ def row_of(x: Index, y: Index, z: Index, volume: np.ndarray, origin: np.ndarray)
     return row if block >= 0 else -1
 
 
-@njit(nogil=True, cache=True)
+@compiled()
 def _rows_of(samples: np.ndarray, volume: np.ndarray, origin: np.ndarray) -> np.ndarray:
     rows = np.empty(len(samples), np.int64)
     for index in range(len(samples)):

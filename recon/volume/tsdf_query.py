@@ -6,9 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 import torch
-from numba import njit
 from torch import Tensor
 
+from ..core.compiled import compiled
 from .sparse_grid import CORNERS, row_of
 from .tsdf_volume import ERROR_CORRELATION, MIN_SIGMA_M, TsdfVolume
 
@@ -74,7 +74,7 @@ def _interpolated(values: Tensor, weights: Tensor, slopes: Tensor) -> tuple[Tens
     return (values * weights).sum(-1), (values[..., None] * slopes).sum(1)
 
 
-@njit(nogil=True, cache=True)
+@compiled()
 def _query_loop(
     points: np.ndarray, rotation: np.ndarray, shift: np.ndarray, sums: np.ndarray, color_sums: np.ndarray,
     volume: np.ndarray, origin: np.ndarray, voxel: float, error_correlation: float, min_sigma: float,
@@ -95,7 +95,7 @@ def _query_loop(
     return count
 
 
-@njit(nogil=True, cache=True, inline="always")
+@compiled(inline="always")
 def _corners(
     place: np.ndarray, voxel: float, sums: np.ndarray, volume: np.ndarray, origin: np.ndarray, rows: np.ndarray
 ) -> bool:
@@ -111,7 +111,7 @@ def _corners(
     return True
 
 
-@njit(nogil=True, cache=True, inline="always")
+@compiled(inline="always")
 def _blend(
     part: np.ndarray, voxel: float, rows: np.ndarray, sums: np.ndarray, color_sums: np.ndarray,
     error_correlation: float, min_sigma: float, result: np.ndarray,

@@ -6,9 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 import torch
-from numba import njit
 from torch import Tensor
 
+from ...core.compiled import compiled
 from ...volume.sparse_grid import SparseGrid
 
 _THIN = 1e-6  # metres: a corner that is merely touched is not passed through
@@ -68,7 +68,7 @@ def intersect_tensors(voxels: SparseGrid, origins: Tensor, directions: Tensor, f
     return Hits(first(ids, -1), first(entry, 0.0), first(exit, 0.0))
 
 
-@njit(nogil=True, cache=True)
+@compiled()
 def _walk(
     origins: np.ndarray, directions: np.ndarray, far: np.ndarray, volume: np.ndarray, low: np.ndarray, size: float,
     most: int,
@@ -108,7 +108,7 @@ def _walk(
     return ids, entry, exit
 
 
-@njit(nogil=True, cache=True)
+@compiled()
 def _clip(
     origin: np.ndarray, direction: np.ndarray, shape: tuple[int, ...], low: np.ndarray, size: float, far: float
 ) -> tuple[float, float]:
