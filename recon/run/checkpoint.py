@@ -8,7 +8,7 @@ from typing import Any
 
 from ..core.tensor_files import load_tensors, save_tensors
 
-VERSION = 7  # of the states; to be increased when those of the version before can no longer be continued
+VERSION = 8  # of the states; to be increased when those of the version before can no longer be continued
 
 
 class Checkpoint:

@@ -18,7 +18,7 @@ class Tracker(Protocol):
     def prepare(self, frame: Frame, normals: dict[str, Tensor]) -> Any:
         """What can be made of a frame in the background, before its turn; normals (H, W, 3) by sensor."""
 
-    def track(self, frame: Frame, prepared: Any, noise_features: dict[str, Tensor]) -> np.ndarray | None:
+    def track(self, frame: Frame, prepared: Any, inputs: dict[str, Tensor]) -> np.ndarray | None:
         """The pose, or None if the frame must not enter the map."""
 
     def is_keyframe(self) -> bool:
@@ -44,7 +44,7 @@ class GivenPoses:
     def prepare(self, frame: Frame, normals: dict[str, Tensor]) -> None:
         return None
 
-    def track(self, frame: Frame, prepared: None, noise_features: dict[str, Tensor]) -> np.ndarray | None:
+    def track(self, frame: Frame, prepared: None, inputs: dict[str, Tensor]) -> np.ndarray | None:
         return frame.T_world_camera
 
     def is_keyframe(self) -> bool:
