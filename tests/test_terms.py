@@ -7,10 +7,6 @@ import pytest
 
 ROOT = Path(__file__).parents[1]
 HERE = Path(__file__).relative_to(ROOT)
-# Files still to be cleaned; this list only shrinks.
-PENDING: set[str] = {
-    "recon/tracking/frame_to_model.py",
-}
 SOURCES = ("recon", "cli", "datasets", "benchmarks", "examples", "tests", "docs", ".github")
 SUFFIXES = {".py", ".md", ".toml", ".yml", ".yaml", ".cff"}
 # The changelog's table of old and new names is the one place where old names have to stand.
@@ -54,11 +50,6 @@ def test_the_check_splits_identifiers_and_reads_prose():
     assert banned_words("lookup, look up, worthless, method, --set METHOD:KEY=VALUE, METHOD_OF") == []
 
 
-@pytest.mark.parametrize("path", [path for path in files() if path.as_posix() not in PENDING], ids=str)
+@pytest.mark.parametrize("path", files(), ids=str)
 def test_terms_of_the_field(path):
     assert problems_of(path) == [], f"{path}: CONTRIBUTING.md has the terms to use"
-
-
-@pytest.mark.parametrize("path", sorted(PENDING))
-def test_pending_files_are_not_clean_yet(path):
-    assert problems_of(Path(path)), f"{path} is clean: remove it from PENDING"

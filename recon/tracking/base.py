@@ -33,37 +33,44 @@ class Tracker(Protocol):
     def record(self) -> TrackingRecord | None:
         """How sure the poses are; None if nothing was tracked."""
 
-    def state_dict(self) -> dict[str, Any]: ...
+    def state_dict(self) -> dict[str, Any]:
+        """Plain tensors and containers that `load_state_dict` continues from."""
 
-    def load_state_dict(self, state: dict[str, Any]) -> None: ...
+    def load_state_dict(self, state: dict[str, Any]) -> None:
+        """Continue from a state."""
 
 
 class GivenPoses:
     """The poses of the recording. A frame without one is left out of the map."""
 
     def prepare(self, frame: Frame, normals: dict[str, Tensor]) -> None:
-        return None
+        """Nothing is needed."""
 
     def track(self, frame: Frame, prepared: None, inputs: dict[str, Tensor]) -> np.ndarray | None:
+        """The pose of the frame."""
         return frame.T_world_camera
 
     def is_keyframe(self) -> bool:
+        """Every frame counts the same."""
         return True
 
     def poses(self) -> dict[int, np.ndarray]:
+        """None: no pose changes after its frame."""
         return {}
 
     def finish(self) -> dict[int, np.ndarray]:
+        """None: no pose changes."""
         return {}
 
     def record(self) -> None:
-        return None
+        """None: nothing was tracked."""
 
     def state_dict(self) -> dict[str, Any]:
+        """There is no state."""
         return {}
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
-        pass
+        """There is no state."""
 
     @staticmethod
     def check(has_any: bool) -> None:

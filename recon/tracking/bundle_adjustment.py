@@ -9,50 +9,16 @@ Gauss-Newton with Levenberg-Marquardt damping, the points eliminated by the Schu
 
 from __future__ import annotations
 
-import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from scipy import sparse
 from scipy.linalg import cho_factor, cho_solve
 
 from ..core.camera import Camera
-from ..core.se3 import apply_motion, cross_matrix, inverse, transform
+from ..core.se3 import apply_motion
+from .observations import Observations, depth_information_factor, residuals, robust_weights, sum_by
 from .pose_graph_edges import PoseEdges, linearise_edges
-
-PIXEL_SCALE = 2.0  # residuals, in sigmas, beyond which an observation loses influence (Cauchy)
-DEPTH_SCALE = 1.0  # depth errs with longer tails than pixels
-_MIN_Z_M = 0.05
-
-
-@dataclass(frozen=True)
-class Observations:
-    """Who saw what. camera, point (M,) int64 indices; uv (M, 2) and sigma_px (M,) pixels; depths (M, S) metres,
-    0 = no reading, and sigmas_m (M, S); share_px (M,) of its information that a pixel counts: 1, less where pixels
-    share an error."""
-
-    camera: np.ndarray
-    point: np.ndarray
-    uv: np.ndarray
-    sigma_px: np.ndarray
-    depths: np.ndarray
-    sigmas_m: np.ndarray
-    share_px: np.ndarray
-
-    def __len__(self) -> int:
-        return len(self.camera)
-
-    def __getitem__(self, kept: np.ndarray) -> Observations:
-        return Observations(*(getattr(self, name)[kept] for name in self.__dataclass_fields__))
-
-    def with_points(self, point: np.ndarray) -> Observations:
-        """The same, of other point numbers (M,)."""
-        return replace(self, point=point)
-
-    def with_whole_pixels(self) -> Observations:
-        """The same, every pixel counted whole: what pixels share cancels between a frame and those around it, which
-        placed the points that it is held against."""
-        return replace(self, share_px=np.ones(len(self)))
 
 
 @dataclass(frozen=True)
@@ -136,75 +102,24 @@ def covariances(
     return result
 
 
-def residuals(
-    camera: Camera, T_world_camera: np.ndarray, points: np.ndarray, observations: Observations
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Whitened residuals (M, 2 + S) and their derivatives by the motion of the camera (M, 2 + S, 6) and by the point
-    (M, 2 + S, 3); T_world_camera (M, 4, 4) and points (M, 3) of each observation. 0 where there is no reading."""
-    local = transform(inverse(T_world_camera), points)
-    x, y, z = local[:, 0], local[:, 1], np.maximum(local[:, 2], _MIN_Z_M)
-    inverse_z = 1 / z
-    focal = np.array([camera.fx, camera.fy])
-    projected = focal * local[:, :2] * inverse_z[:, None] + np.array([camera.cx, camera.cy])
-    zero = np.zeros_like(z)
-    d_pixel = np.stack(
-        [
-            np.stack([camera.fx * inverse_z, zero, -camera.fx * x * inverse_z**2], -1),
-            np.stack([zero, camera.fy * inverse_z, -camera.fy * y * inverse_z**2], -1),
-        ],
-        1,
-    ) / observations.sigma_px[:, None, None]  # fmt: skip
-    read = observations.depths > 0
-    depths = np.where(read, observations.depths, 1.0)
-    sharpness = np.where(read, depths**2 / np.maximum(observations.sigmas_m, 1e-6), 0.0)  # 1 / sigma of 1 / depth
-    r_depth = (inverse_z[:, None] - 1 / depths) * sharpness
-    d_depth = np.zeros((*read.shape, 3))
-    d_depth[..., 2] = -(inverse_z**2)[:, None] * sharpness
-    r = np.concatenate([(projected - observations.uv) / observations.sigma_px[:, None], r_depth], 1)
-    d_local = np.concatenate([d_pixel, d_depth], 1)
-    behind = local[:, 2] < _MIN_Z_M
-    d_local[behind] = 0.0
-    d_motion = np.concatenate([-d_local, d_local @ cross_matrix(local)], -1)
-    d_point = d_local @ np.swapaxes(T_world_camera[:, :3, :3], 1, 2)
-    return r, d_motion, d_point
-
-
-def depth_information_factor(observations: Observations) -> np.ndarray:
-    """(M, S) share of its information that each depth reading counts: all that a sensor has of a point are one.
-
-    A stereo matcher smooths the same corner in every frame. Were its readings independent, they would outvote the
-    pixels, which know better, and bend the trajectory.
-    """
-    read = observations.depths > 0
-    counts = _sum_by(observations.point, read.astype(np.float64), int(observations.point.max(initial=-1)) + 1)
-    return 1 / np.maximum(counts[observations.point], 1.0)
-
-
-def robust_weights(
-    r: np.ndarray, share_px: np.ndarray, share_depth: np.ndarray | float = 1.0
-) -> tuple[np.ndarray, float]:
-    """Weights (M, 2 + S) of whitened residuals and their robust cost (Cauchy); the two of a pixel are one residual, of
-    which a share (M,) counts, as of each depth reading (M, S)."""
-    squared = np.concatenate([np.repeat((r[:, :2] ** 2).sum(1, keepdims=True), 2, 1), r[:, 2:] ** 2], 1)
-    scale = np.full(r.shape[1], DEPTH_SCALE**2)
-    scale[:2] = PIXEL_SCALE**2
-    ratio = squared / scale
-    cost, weights = scale * np.log1p(ratio), 1 / (1 + ratio)
-    weights[:, :2] *= share_px[:, None]
-    weights[:, 2:] *= share_depth
-    return weights, float(cost[:, 0] @ share_px + (cost[:, 2:] * share_depth).sum())
-
-
-def _linearise(camera, poses, points, observations, share_depth, edges) -> _Linearised:
+def _linearise(
+    camera: Camera,
+    poses: np.ndarray,
+    points: np.ndarray,
+    observations: Observations,
+    share_depth: np.ndarray | float,
+    edges: PoseEdges | None,
+) -> _Linearised:
+    """The normal equations at poses and points."""
     r, d_motion, d_point = residuals(camera, poses[observations.camera], points[observations.point], observations)
     weights, cost = robust_weights(r, observations.share_px, share_depth)
     weighted_motion, weighted_point = d_motion * weights[..., None], d_point * weights[..., None]
     transposed = np.swapaxes(weighted_motion, 1, 2)
-    U = _sum_by(observations.camera, transposed @ d_motion, len(poses))
-    g_camera = _sum_by(observations.camera, (transposed @ r[..., None])[..., 0], len(poses))
+    U = sum_by(observations.camera, transposed @ d_motion, len(poses))
+    g_camera = sum_by(observations.camera, (transposed @ r[..., None])[..., 0], len(poses))
     transposed_point = np.swapaxes(weighted_point, 1, 2)
-    V = _sum_by(observations.point, transposed_point @ d_point, len(points))
-    g_point = _sum_by(observations.point, (transposed_point @ r[..., None])[..., 0], len(points))
+    V = sum_by(observations.point, transposed_point @ d_point, len(points))
+    g_point = sum_by(observations.point, (transposed_point @ r[..., None])[..., 0], len(points))
     across = None
     if edges is not None:
         measured = linearise_edges(poses, edges)
@@ -212,7 +127,14 @@ def _linearise(camera, poses, points, observations, share_depth, edges) -> _Line
     return _Linearised(cost, U, g_camera, V, g_point, transposed @ d_point, across)
 
 
-def _solve(system: _Linearised, observations, edges, free_poses, free_points, damping) -> tuple[np.ndarray, np.ndarray]:
+def _solve(
+    system: _Linearised,
+    observations: Observations,
+    edges: PoseEdges | None,
+    free_poses: np.ndarray,
+    free_points: bool,
+    damping: float,
+) -> tuple[np.ndarray, np.ndarray]:
     """Steps (C, 6) and (P, 3) of the damped normal equations."""
     step_poses, step_points = np.zeros_like(system.g_camera), np.zeros_like(system.g_point)
     free = np.flatnonzero(free_poses)
@@ -224,21 +146,36 @@ def _solve(system: _Linearised, observations, edges, free_poses, free_points, da
     if len(free):
         step_poses[free] = _reduced_step(system, observations, edges, free, U, V_inverse)
     back = (np.swapaxes(system.W, 1, 2) @ step_poses[observations.camera][..., None])[..., 0]
-    right = system.g_point + _sum_by(observations.point, back, len(system.V))
+    right = system.g_point + sum_by(observations.point, back, len(system.V))
     step_points = -(V_inverse @ right[..., None])[..., 0]
     return step_poses, step_points
 
 
-def _reduced_step(system: _Linearised, observations, edges, free, U, V_inverse) -> np.ndarray:
+def _reduced_step(
+    system: _Linearised,
+    observations: Observations,
+    edges: PoseEdges | None,
+    free: np.ndarray,
+    U: np.ndarray,
+    V_inverse: np.ndarray,
+) -> np.ndarray:
     """Steps (F, 6) of the free cameras."""
     S, right = _reduced_system(system, observations, edges, free, U, V_inverse)
     try:
-        return -cho_solve(cho_factor(S, lower=True), right).reshape(-1, 6)
+        step: np.ndarray = -cho_solve(cho_factor(S, lower=True), right).reshape(-1, 6)
     except np.linalg.LinAlgError:  # rounding made it indefinite: more damping helps
         return np.zeros((len(free), 6))
+    return step
 
 
-def _reduced_system(system: _Linearised, observations, edges, free, U, V_inverse) -> tuple[np.ndarray, np.ndarray]:
+def _reduced_system(
+    system: _Linearised,
+    observations: Observations,
+    edges: PoseEdges | None,
+    free: np.ndarray,
+    U: np.ndarray,
+    V_inverse: np.ndarray,
+) -> tuple[np.ndarray, np.ndarray]:
     """Normal equations (6 F, 6 F) and (6 F,) of the free cameras with the points eliminated."""
     position = np.full(len(system.U), -1)
     position[free] = np.arange(len(free))
@@ -249,7 +186,7 @@ def _reduced_system(system: _Linearised, observations, edges, free, U, V_inverse
     S = -(Y @ W.T).toarray()
     for i in range(len(free)):
         S[6 * i : 6 * i + 6, 6 * i : 6 * i + 6] += U[i]
-    if edges is not None:
+    if edges is not None and system.across is not None:
         for i, j, block in zip(position[edges.first], position[edges.second], system.across, strict=True):
             if i >= 0 and j >= 0:
                 S[6 * i : 6 * i + 6, 6 * j : 6 * j + 6] += block
@@ -264,27 +201,11 @@ def _damped(blocks: np.ndarray, damping: float) -> np.ndarray:
     return result
 
 
-def _block_sparse(rows, columns, blocks, n_rows: int, n_columns: int) -> sparse.csr_matrix:
+def _block_sparse(
+    rows: np.ndarray, columns: np.ndarray, blocks: np.ndarray, n_rows: int, n_columns: int
+) -> sparse.bsr_matrix:
+    """Sparse matrix of blocks (M, a, b) at block `rows` and `columns` (M,)."""
     order = np.lexsort((columns, rows))
     pointer = np.searchsorted(rows[order], np.arange(n_rows + 1))
     shape = (n_rows * blocks.shape[1], n_columns * blocks.shape[2])
     return sparse.bsr_matrix((blocks[order], columns[order], pointer), shape=shape)
-
-
-def _sum_by(index: np.ndarray, values: np.ndarray, count: int) -> np.ndarray:
-    """Sum of values (M, ...) over equal `index` (M,) -> (count, ...)."""
-    flat = values.reshape(len(values), math.prod(values.shape[1:]))  # not -1: there may be none
-    matrix = sparse.csr_matrix((np.ones(len(index)), (index, np.arange(len(index)))), (count, len(index)))
-    return (matrix @ flat).reshape(count, *values.shape[1:])
-
-
-def without_outliers(
-    camera: Camera, poses: np.ndarray, points: np.ndarray, observations: Observations, limit: float
-) -> Observations:
-    """The observations whose pixel lies within `limit` sigmas, in front of the camera; depth readings further off than
-    twice that are dropped from those."""
-    local = transform(inverse(poses[observations.camera]), points[observations.point])
-    r, _, _ = residuals(camera, poses[observations.camera], points[observations.point], observations)
-    kept = ((r[:, :2] ** 2).sum(1) < limit**2) & (local[:, 2] > _MIN_Z_M)
-    depths = np.where(np.abs(r[:, 2:]) < 2 * limit, observations.depths, 0.0)
-    return replace(observations, depths=depths)[kept]

@@ -147,7 +147,8 @@ def _noise(seen: np.ndarray, tilt_rad: float) -> np.ndarray:
 def _less(information: np.ndarray, noise: np.ndarray) -> np.ndarray:
     """(6, 6) without `noise`, nowhere negative."""
     values, vectors = np.linalg.eigh(information - noise)
-    return (vectors * np.maximum(values, 0)) @ vectors.T
+    rest: np.ndarray = (vectors * np.maximum(values, 0)) @ vectors.T
+    return rest
 
 
 def _fit(volume: TsdfVolume, readings: Readings, pose: np.ndarray) -> float:

@@ -145,7 +145,8 @@ def _beta(depth: Tensor, inputs: Tensor | None, model: NoiseModel | None) -> Ten
     if model is None or inputs is None or not model.is_trained:
         return default_beta(depth)
     device = next(model.parameters()).device
-    return model(inputs.to(device)).cpu()
+    beta: Tensor = model(inputs.to(device)).cpu()
+    return beta
 
 
 def _spread(depth: np.ndarray) -> np.ndarray:

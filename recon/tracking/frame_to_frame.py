@@ -47,11 +47,14 @@ class SurfaceView:
 
     @staticmethod
     def from_state(state: dict[str, Any]) -> SurfaceView:
+        """The view of a state."""
         return SurfaceView(Camera(**state["camera"]), *(state[n].numpy() for n in ("points", "normals", "sigma")))
 
     @property
     def valid(self) -> np.ndarray:
-        return np.isfinite(self.sigma)
+        """(h, w) where there is a measurement."""
+        finite: np.ndarray = np.isfinite(self.sigma)
+        return finite
 
 
 def view_residuals(

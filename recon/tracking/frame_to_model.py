@@ -1,8 +1,8 @@
-"""A frame against the surface and the colour of the map: what the tracking loss of the paper asks, solved directly.
+"""A frame against the surface and the colour of the map: residuals of the tracking loss of the paper.
 
 Every reading, moved by the pose, should lie on the zero level of the fused distances (which is point-to-plane with the
 gradient as the plane's normal) and show the colour that the map has there. Each residual is divided by what is
-expected of it: the learned beta of the reading and the map's own sigma (paper: |D - D'| / (S + beta)).
+expected of it: the learned beta of the reading and the sigma of the map (paper: |D - D'| / (S + beta)).
 """
 
 from __future__ import annotations
@@ -63,8 +63,8 @@ def surface_term(volume: TsdfVolume, readings: Readings, share: float = SHARE, s
 def surface_residuals(volume: TsdfVolume, readings: Readings, pose: np.ndarray) -> tuple[Tensor, Tensor]:
     """Whitened residuals (K,) of distance, then of colour, where the map is known, and their derivatives (K, 6)."""
     T = torch.tensor(pose, dtype=torch.float32, device=readings.points.device)
-    look = query_numba if T.device.type == "cpu" else query_torch
-    seen = look(volume, readings.points, T)
+    query = query_numba if T.device.type == "cpu" else query_torch
+    seen = query(volume, readings.points, T)
     points = readings.points[seen.kept]
     along = (seen.gradient * (readings.directions[seen.kept] @ T[:3, :3].T)).sum(-1)
     sigma = readings.scale * (2 * (readings.beta[seen.kept] * along) ** 2 + seen.sigma**2).sqrt()

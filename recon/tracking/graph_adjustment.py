@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from .bundle_adjustment import Observations, adjust, covariances, without_outliers
+from .bundle_adjustment import adjust, covariances
 from .keyframe_graph import MIN_FEATURES, KeyframeGraph
 from .landmarks import observations_of, seen_at_least
+from .observations import Observations, without_outliers
 from .outlier_poses import reoptimise_outliers
 from .pose_graph_edges import edges_among
 

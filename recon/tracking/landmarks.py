@@ -8,16 +8,16 @@ from typing import Any
 import numpy as np
 import torch
 
-from .bundle_adjustment import Observations
+from .observations import Observations
 
 NONE = -1
 
 
 @dataclass
 class FrameFeatures:
-    """The features of one frame. `pose` is the present estimate of T_world_camera (4, 4); per feature:
+    """The features of one frame; `pose` is the present estimate of T_world_camera (4, 4).
 
-    uv (N, 2) and sigma_px (N,) pixels; depths and sigmas_m (N, S) metres by sensor, depth 0 = no reading;
+    Per feature: uv (N, 2) and sigma_px (N,) pixels; depths and sigmas_m (N, S) metres by sensor, depth 0 = no reading;
     edges (N, S) metres, how much depth differs between the pixels around; noise (N, S, F) what h_w sees there, so that
     sigmas can be had again from what was learned since;
     landmark (N,) int64, NONE where the feature belongs to none. `common_px`: all pixels may be off together by that.
@@ -62,7 +62,9 @@ class FrameFeatures:
 
     @staticmethod
     def from_state(state: dict[str, Any]) -> FrameFeatures:
-        return FrameFeatures(**{n: v.numpy() if isinstance(v, torch.Tensor) else v for n, v in state.items()})
+        """The features of a state."""
+        values: dict[str, Any] = {n: v.numpy() if isinstance(v, torch.Tensor) else v for n, v in state.items()}
+        return FrameFeatures(**values)
 
 
 def pixel_information_factor(sigma_px: np.ndarray, common_px: float) -> np.ndarray:

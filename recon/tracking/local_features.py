@@ -33,7 +33,7 @@ class LocalFeatures:
 def extract_features(color: np.ndarray, count: int = MAX_FEATURES) -> LocalFeatures:
     """color (H, W, 3) uint8 RGB -> at most about `count` features, the strongest; none in an image without texture."""
     grey, step = _shrunk(cv2.cvtColor(color, cv2.COLOR_RGB2GRAY))
-    sift = cv2.SIFT_create(count, 3, _CONTRAST, 10, 1.6, enable_precise_upscale=True)
+    sift = cv2.SIFT.create(count, 3, _CONTRAST, 10, 1.6, enable_precise_upscale=True)
     keypoints, descriptors = sift.detectAndCompute(grey, None)
     if not keypoints:
         return no_features()
@@ -88,7 +88,8 @@ def match_near(similarity: np.ndarray, candidates: np.ndarray, threshold: float 
     first_of_column = first_of_row.copy()
     first_of_row[np.unique(best[:, 0], return_index=True)[1]] = True
     first_of_column[np.unique(best[:, 1], return_index=True)[1]] = True
-    return best[first_of_row & first_of_column]
+    chosen: np.ndarray = best[first_of_row & first_of_column]
+    return chosen
 
 
 def near_projections(
@@ -105,7 +106,8 @@ def near_projections(
 def project(camera: Camera, local: np.ndarray) -> np.ndarray:
     """(N, 3) points in camera axes -> (N, 2) pixels; meaningless behind the camera."""
     focal, centre = np.array([camera.fx, camera.fy]), np.array([camera.cx, camera.cy])
-    return focal * local[:, :2] / np.maximum(local[:, 2:], 1e-6) + centre
+    pixels: np.ndarray = focal * local[:, :2] / np.maximum(local[:, 2:], 1e-6) + centre
+    return pixels
 
 
 def back_projected(camera: Camera, uv: np.ndarray) -> np.ndarray:

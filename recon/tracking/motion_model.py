@@ -38,8 +38,7 @@ class MotionModel:
             self.velocity = np.eye(4)
             self.lost_frames += 1
             return
-        steady = last is not None and not self.lost
-        motion = found.shown @ motion_between(last, found.pose) if steady else np.zeros(6)
+        motion = np.zeros(6) if last is None or self.lost else found.shown @ motion_between(last, found.pose)
         self.velocity = apply_motion(np.eye(4), motion)
         self.lost_frames = 0
 

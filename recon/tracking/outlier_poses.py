@@ -12,7 +12,8 @@ import numpy as np
 
 from ..core.camera import Camera
 from ..core.se3 import apply_motion, motion_between
-from .bundle_adjustment import Observations, adjust, residuals, robust_weights, without_outliers
+from .bundle_adjustment import adjust
+from .observations import Observations, residuals, robust_weights, without_outliers
 
 AROUND = ((-1, 1), (-2, 2), (-2, -1), (1, 2))  # pairs of neighbours that tell where a frame between or beside them is
 NEAR = 3  # frames: neighbours that are further away tell nothing
@@ -78,10 +79,18 @@ def nearest(poses: np.ndarray, expected: np.ndarray) -> np.ndarray:
     off = np.full((*known.shape, 2), np.inf)
     motions = motion_between(np.broadcast_to(poses, expected.shape)[known], expected[known]).reshape(-1, 2, 3)
     off[known] = np.linalg.norm(motions, axis=-1)
-    return off.min(axis=0)
+    smallest: np.ndarray = off.min(axis=0)
+    return smallest
 
 
-def _best(camera, pose, expected, points, seen, usual) -> np.ndarray:
+def _best(
+    camera: Camera,
+    pose: np.ndarray,
+    expected: np.ndarray,
+    points: np.ndarray,
+    seen: Observations,
+    usual: np.ndarray,
+) -> np.ndarray:
     """The pose (4, 4) of least cost: `pose`, or what readings make of those `expected` (K, 4, 4)."""
     best, least, most = (
         pose,
@@ -103,11 +112,20 @@ def _best(camera, pose, expected, points, seen, usual) -> np.ndarray:
     return best
 
 
-def _agreeing(camera, pose, points, seen) -> int:
+def _agreeing(camera: Camera, pose: np.ndarray, points: np.ndarray, seen: Observations) -> int:
     return len(without_outliers(camera, pose[None], points, seen, _LIMITS[-1]))
 
 
-def pose_cost(camera, pose, expected, points, seen, usual) -> float:
+def pose_cost(
+    camera: Camera,
+    pose: np.ndarray,
+    expected: np.ndarray,
+    points: np.ndarray,
+    seen: Observations,
+    usual: np.ndarray,
+) -> float:
+    """Robust cost of what a frame saw of points at a `pose` (4, 4), and of its distance from where it is `expected`
+    (K, 4, 4), in units of the `usual` distance (2,) and at most as much as the observations may outvote."""
     off = np.linalg.norm(nearest(pose[None], expected[:, None])[0] / usual)
     r, _, _ = residuals(camera, pose[None][seen.camera], points[seen.point], seen)
-    return robust_weights(r, seen.share_px)[1] + min(off**2, PRIOR_COST_PER_OBSERVATION * len(seen))
+    return robust_weights(r, seen.share_px)[1] + min(float(off**2), PRIOR_COST_PER_OBSERVATION * len(seen))

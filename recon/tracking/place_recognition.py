@@ -70,4 +70,5 @@ def recognise(
 
 def _some(landmarks: Landmarks, numbers: np.ndarray) -> np.ndarray:
     """Descriptors of at most about `_VOTES` of the landmarks."""
-    return landmarks.descriptors[numbers[:: 1 + len(numbers) // _VOTES]]
+    chosen: np.ndarray = landmarks.descriptors[numbers[:: 1 + len(numbers) // _VOTES]]
+    return chosen

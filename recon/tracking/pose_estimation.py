@@ -10,7 +10,7 @@ import numpy as np
 
 from ..core.camera import Camera
 from ..core.se3 import apply_motion, inverse, motion_between
-from .bundle_adjustment import Observations, residuals, robust_weights
+from .observations import Observations, residuals, robust_weights
 
 MIN_INLIERS = 12
 _REPROJECTION_PX = 4.0
@@ -103,7 +103,7 @@ def ransac_pose(camera: Camera, points: np.ndarray, uv: np.ndarray, seed: int) -
         )  # fmt: skip
     except cv2.error:  # degenerate points
         return None
-    if not found or inliers is None or len(inliers) < MIN_INLIERS:
+    if not found or inliers is None or len(inliers) < MIN_INLIERS:  # type: ignore[redundant-expr]  # its stubs err
         return None
     T_camera_world = np.eye(4)
     T_camera_world[:3, :3], T_camera_world[:3, 3] = cv2.Rodrigues(rotation)[0], translation[:, 0]
@@ -112,6 +112,9 @@ def ransac_pose(camera: Camera, points: np.ndarray, uv: np.ndarray, seed: int) -
 
 def _total(pose: np.ndarray, terms: Sequence[Term]) -> Linearised:
     parts = [term(pose) for term in terms]
+    information, gradient = np.zeros((6, 6)), np.zeros(6)
     return Linearised(
-        sum(p.cost for p in parts), sum(p.information for p in parts), sum(p.gradient for p in parts)
-    )  # fmt: skip
+        sum(p.cost for p in parts),
+        sum((p.information for p in parts), information),
+        sum((p.gradient for p in parts), gradient),
+    )

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from uncle.recon.core.camera import Camera
 from uncle.recon.core.se3 import apply_motion, inverse, transform
-from uncle.recon.tracking.bundle_adjustment import Observations
 from uncle.recon.tracking.keyframe_graph import KeyframeGraph
 from uncle.recon.tracking.landmarks import FrameFeatures
+from uncle.recon.tracking.observations import Observations
 
 CAMERA = Camera(320, 240, 200.0, 210.0, 160.0, 118.0)
 

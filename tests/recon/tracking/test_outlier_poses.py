@@ -3,8 +3,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from uncle.recon.core.se3 import apply_motion, inverse, transform
-from uncle.recon.tracking.bundle_adjustment import Observations, adjust, residuals, robust_weights
+from uncle.recon.tracking.bundle_adjustment import adjust
 from uncle.recon.tracking.graph_adjustment import reoptimise_outlier_frames
+from uncle.recon.tracking.observations import Observations, residuals, robust_weights
 from uncle.recon.tracking.outlier_poses import expectations, nearest, pose_cost, reoptimise_outliers
 
 SPEED = np.array([0.02, -0.01, 0.005, 0.01, 0.02, -0.005])  # of a hand, a frame

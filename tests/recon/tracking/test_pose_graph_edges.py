@@ -5,7 +5,8 @@ from dataclasses import replace
 import numpy as np
 from uncle.recon.core.camera import Camera
 from uncle.recon.core.se3 import apply_motion, inverse, motion_between
-from uncle.recon.tracking.bundle_adjustment import Observations, adjust
+from uncle.recon.tracking.bundle_adjustment import adjust
+from uncle.recon.tracking.observations import Observations
 from uncle.recon.tracking.pose_graph_edges import PoseEdges, edges_among, linearise_edges
 
 CAMERA = Camera(320, 240, 200.0, 200.0, 160.0, 120.0)
