@@ -18,9 +18,9 @@ import cv2
 import numpy as np
 from scipy.stats import rankdata
 
+from ..recon.core.depth_image import read_depth_values
 from ..recon.core.errors import DataError
 from ..recon.core.files import read_image
-from .images import SATURATED
 
 STRETCHES, STRETCH = 6, 45  # parts of the recording that are looked at, and images in each
 LARGEST_S, STEP_S = 0.06, 0.001  # delays that are tried: two images of a Kinect
@@ -101,28 +101,26 @@ def motion(stream: Stream, start: float, read: Read) -> Motion:
 
 def color_picture(file: Path) -> np.ndarray | None:
     """Grey values."""
-    image = _read(file, cv2.IMREAD_GRAYSCALE | cv2.IMREAD_IGNORE_ORIENTATION)
+    image = _read(lambda path: read_image(path, cv2.IMREAD_GRAYSCALE | cv2.IMREAD_IGNORE_ORIENTATION), file)
     return None if image is None else _small(image.astype(np.float32))
 
 
 def depth_picture(file: Path) -> np.ndarray | None:
     """Nearness, which shows edges as colour does; holes are as near as the median."""
-    image = _read(file, cv2.IMREAD_UNCHANGED)
-    if image is None:
+    image = _read(read_depth_values, file)
+    if image is None or not image.any():
         return None
-    read = (image > 0) & (image != SATURATED)
-    if not read.any():
-        return None
+    read = image > 0
     known = _small(read.astype(np.float32))
-    near = _small(np.where(read, 1 / np.maximum(image, 1).astype(np.float32), 0)) / np.maximum(known, 1e-6)
+    near = _small(np.where(read, 1 / np.where(read, image, 1).astype(np.float32), 0)) / np.maximum(known, 1e-6)
     near = np.where(known > 0, near, np.median(near[known > 0]))
     return (near / near.max()).astype(np.float32)
 
 
-def _read(file: Path, flags: int) -> np.ndarray | None:
+def _read(read: Callable[[Path], np.ndarray], file: Path) -> np.ndarray | None:
     """An image of one channel and of some size, or None; that it is broken is reported when the frame is read."""
     try:
-        image = read_image(file, flags)
+        image = read(file)
     except (DataError, cv2.error):
         return None
     return image if image.ndim == 2 and min(image.shape) > 16 else None

@@ -8,7 +8,7 @@ import numpy as np
 
 from ..recon.core.errors import DataError
 from .calibration import CAMERA_FILE, CameraFile
-from .images import list_files
+from .images import list_depth_files, list_files
 from .layout import first_file
 from .poses import MAX_POSE_GAP_S, checked_pose, poses_at, read_matrix
 from .recording import Entry, FileRecording
@@ -52,11 +52,11 @@ def _read_sensors(path: Path, stems: list[str]) -> dict[str, dict[str, Path]]:
     named = {folder.name.removeprefix("depth_"): folder for folder in folders if folder.name.startswith("depth_")}
     if (path / "depth").is_dir():
         named = {"depth": path / "depth", **named}
-    sensors = {name: list_files(folder, (".png",)) for name, folder in named.items() if name}
+    sensors = {name: list_depth_files(folder) for name, folder in named.items() if name}
     for name, files in sensors.items():
         if files and not any(stem in files for stem in stems):
             raise DataError(
-                f"{named[name]}: no depth image is called like a colour image ({next(iter(files))}.png, but "
+                f"{named[name]}: no depth image is called like a colour image ({next(iter(files.values())).name}, but "
                 f"{stems[0]} in color/); the two images of a frame need the same name"
             )
     return {name: files for name, files in sensors.items() if files}

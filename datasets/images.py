@@ -9,8 +9,10 @@ import cv2
 import numpy as np
 
 from ..recon.core.camera import Camera
+from ..recon.core.depth_image import DEPTH_SUFFIXES, read_depth_values
 from ..recon.core.errors import DataError
 from ..recon.core.files import read_image
+from .depth_units import DepthUnits
 
 IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg")
 SATURATED = 65535  # the largest value of a 16-bit image is never a measurement; Kinect recordings mark holes by it
@@ -27,6 +29,24 @@ def list_files(folder: Path, suffixes: tuple[str, ...] = IMAGE_SUFFIXES) -> dict
         return {}
     files = {path.stem: path for path in folder.iterdir() if path.suffix.lower() in suffixes and path.name[0] != "."}
     return {stem: files[stem] for stem in sorted(files, key=natural_key)}
+
+
+def list_depth_files(folder: Path) -> dict[str, Path]:
+    """File stem -> depth image of any format that is read, in natural order.
+
+    Raises DataError if there are files of other formats alone, or a stem has two.
+    """
+    files = list_files(folder, DEPTH_SUFFIXES)
+    others = [path.name for path in folder.iterdir() if path.name[0] != "."] if folder.is_dir() and not files else []
+    if others:
+        formats = ", ".join(DEPTH_SUFFIXES)
+        raise DataError(f"{folder} holds no depth images ({formats}), but {len(others)} others such as {min(others)}")
+    if folder.is_dir():
+        for path in sorted(folder.iterdir()):
+            if path.suffix.lower() in DEPTH_SUFFIXES and path.name[0] != "." and path != files[path.stem]:
+                names = " and ".join(sorted((path.name, files[path.stem].name)))
+                raise DataError(f"{folder} holds {names}: it cannot be told which is the depth image; move one away")
+    return files
 
 
 def list_numbered(folder: Path, prefix: str, suffixes: tuple[str, ...] = IMAGE_SUFFIXES) -> dict[int, Path]:
@@ -48,23 +68,19 @@ def read_color(path: Path, camera: Camera, resize: bool = False) -> np.ndarray:
     return image
 
 
-def read_depth(path: Path, camera: Camera, units_per_m: float) -> np.ndarray:
+def read_depth(path: Path, camera: Camera, units: DepthUnits) -> np.ndarray:
     """(H, W) float32 z-depth in metres, 0 where there is no measurement. Raises DataError."""
-    image = read_image(path, cv2.IMREAD_UNCHANGED)
-    if image.dtype == np.uint8:
-        raise DataError(f"{path} is 8-bit; depth must be 16-bit (is it a preview picture?)")
-    if image.ndim != 2 or image.dtype != np.uint16:
-        raise DataError(f"{path} is not a depth image: expected one 16-bit channel, found {image.shape} {image.dtype}")
-    _require_size(path, image, camera)
-    depth = image.astype(np.float32)
-    depth[image == SATURATED] = 0.0
-    depth /= np.float32(units_per_m)
-    return depth
+    values = read_depth_values(path)
+    _require_size(path, values, camera)
+    return units.metres(values)
 
 
 def read_size(path: Path) -> tuple[int, int]:
     """(width, height) in pixels. Raises DataError."""
-    height, width = read_image(path, cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION).shape[:2]
+    if path.suffix.lower() in IMAGE_SUFFIXES:
+        height, width = read_image(path, cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION).shape[:2]
+    else:
+        height, width = read_depth_values(path).shape
     return width, height
 
 

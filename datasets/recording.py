@@ -15,6 +15,7 @@ from ..recon.core.camera import Camera
 from ..recon.core.errors import DataError, FrameError
 from ..recon.core.frame import Frame
 from .calibration import Calibration
+from .depth_units import sensor_units
 from .images import Undistorter, read_color, read_depth
 from .poses import pose_notes
 from .registration import ColorRegistration
@@ -68,7 +69,14 @@ class FileRecording:
                 calibration.color_camera, calibration.T_color_depth, calibration.camera
             )
         self._require_increasing_timestamps()
-        self.notes = (*notes, *self._sensor_notes(), *pose_notes([entry.T_world_camera for entry in entries]))
+        files = {sensor: [e.depths[sensor] for e in entries if sensor in e.depths] for sensor in sensors}
+        self._depth_units, unit_notes = sensor_units(files, calibration.depth_units_per_m)
+        self.notes = (
+            *notes,
+            *unit_notes,
+            *self._sensor_notes(),
+            *pose_notes([entry.T_world_camera for entry in entries]),
+        )
 
     @property
     def camera(self) -> Camera:
@@ -118,12 +126,12 @@ class FileRecording:
         if path is None:
             return torch.zeros(self.camera.height, self.camera.width)
         try:
-            return self._cropped(self._read_depth(path))
+            return self._cropped(self._read_depth(path, sensor))
         except DataError as error:
             raise FrameError(f"frame {index}: {error}") from error
 
-    def _read_depth(self, path: Path) -> np.ndarray:
-        image = read_depth(path, self._calibration.camera, self._calibration.depth_units_per_m)
+    def _read_depth(self, path: Path, sensor: str) -> np.ndarray:
+        image = read_depth(path, self._calibration.camera, self._depth_units[sensor])
         return self._undistorter.depth(image)
 
     def _depth_to_register_by(self, index: int) -> np.ndarray:
@@ -132,7 +140,7 @@ class FileRecording:
         for sensor in self.sensors:
             with suppress(DataError):  # a bad depth image costs no more than itself
                 if sensor in depths:
-                    return self._read_depth(depths[sensor])
+                    return self._read_depth(depths[sensor], sensor)
         return np.zeros((self._calibration.camera.height, self._calibration.camera.width), np.float32)
 
     def _cropped(self, image: np.ndarray) -> Tensor:

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from ..recon.core.camera import Camera
+from ..recon.core.depth_image import DEPTH_SUFFIXES
 from ..recon.core.errors import DataError
 from .calibration import Calibration, calibration_or
 from .images import list_numbered
@@ -26,7 +27,7 @@ def read(path: Path) -> FileRecording:
     """Open a scene. Raises DataError."""
     calibration, notes = calibration_or(path, RENDERED)
     colors = list_numbered(path / "results", "frame")
-    depths = list_numbered(path / "results", "depth", (".png",))
+    depths = list_numbered(path / "results", "depth", DEPTH_SUFFIXES)
     poses = _read_trajectory(path / "traj.txt")
     entries = [
         Entry(

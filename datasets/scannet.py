@@ -8,7 +8,7 @@ from pathlib import Path
 from ..recon.core.camera import Camera
 from ..recon.core.errors import DataError
 from .calibration import CAMERA_FILE, Calibration, calibration_or
-from .images import list_files, read_size
+from .images import list_depth_files, list_files, read_size
 from .layout import first_file
 from .poses import checked_pose, read_matrix
 from .recording import Entry, FileRecording
@@ -26,7 +26,7 @@ def matches(path: Path) -> bool:
 def read(path: Path) -> FileRecording:
     """Open a scene. Raises DataError."""
     base = _base(path)
-    colors, depths = list_files(base / "color"), list_files(base / "depth", (".png",))
+    colors, depths = list_files(base / "color"), list_depth_files(base / "depth")
     if not colors or not depths:
         raise DataError(f"{base} holds no {'depth' if colors else 'color'}/ images; scannet needs color/ and depth/")
     calibration, notes = _calibration(path, base, next(iter(depths.values())))

@@ -10,7 +10,7 @@ import numpy as np
 from ..recon.core.camera import Camera
 from ..recon.core.errors import DataError
 from .calibration import Calibration, calibration_or
-from .images import list_files, read_size
+from .images import list_depth_files, list_files, read_size
 from .layout import choose_sequence, first_file
 from .poses import OPENGL_TO_OPENCV, Z_UP_FROM_Y_UP, checked_pose, read_matrix
 from .recording import Entry, FileRecording
@@ -41,7 +41,7 @@ def read(path: Path) -> FileRecording:
     # counted from the outer edge of the first pixel, hence (width - 1) / 2 from its centre, which is our origin.
     default = Calibration(Camera(width, height, width / 2, width / 2, (width - 1) / 2, (height - 1) / 2))
     calibration, camera_notes = calibration_or(trajectory, default)
-    sensors = {sensor: list_files(folder) for sensor, folder in _depth_folders(trajectory).items()}
+    sensors = {sensor: list_depth_files(folder) for sensor, folder in _depth_folders(trajectory).items()}
     poses = list_files(trajectory / "left_camera_matrix", (".txt",))
     entries = [
         Entry(

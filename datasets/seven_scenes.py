@@ -8,6 +8,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from ..recon.core.camera import Camera
+from ..recon.core.depth_image import DEPTH_SUFFIXES
 from .calibration import CAMERA_FILE, Calibration, calibration_or
 from .images import list_files
 from .layout import choose_sequence
@@ -39,11 +40,12 @@ def read(path: Path) -> FileRecording:
     sequence, notes = choose_sequence(path, MARKER)
     calibration, camera_notes = calibration_or(sequence, KINECT)
     images = list_files(sequence)
+    depths = list_files(sequence, DEPTH_SUFFIXES)
     frames = [stem.removesuffix(".color") for stem in images if stem.endswith(".color")]
     entries = [
         Entry(
             images[f"{frame}.color"],
-            {"depth": images[f"{frame}.depth"]} if f"{frame}.depth" in images else {},
+            {"depth": depths[f"{frame}.depth"]} if f"{frame}.depth" in depths else {},
             checked_pose(read_matrix(sequence / f"{frame}.pose.txt")),  # OpenCV axes as they are
         )
         for frame in frames

@@ -16,6 +16,9 @@ BETA_UNITS_PER_M = 10000.0  # beta PNGs hold tenths of a millimetre
 # Half the time of OpenCV's choice for depth and normals, and no larger.
 _FAST_PNG = [cv2.IMWRITE_PNG_STRATEGY, cv2.IMWRITE_PNG_STRATEGY_RLE, cv2.IMWRITE_PNG_FILTER, cv2.IMWRITE_PNG_FILTER_SUB]
 
+# Files that cannot be decoded are errors of ours; OpenCV would print its own besides.
+cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
+
 _ADVICE = {
     errno.ENOSPC: "the disk is full; free some space and run the same command again (finished work is kept)",
     errno.EDQUOT: "the disk quota is used up; free some space and run the same command again (finished work is kept)",
@@ -83,7 +86,7 @@ def read_image(path: Path, flags: int) -> np.ndarray:
         raise DataError(f"cannot read {path}: {error.strerror}") from error
     image = cv2.imdecode(data, flags) if _is_whole(data.tobytes()) else None
     if image is None:
-        raise DataError(f"cannot read {path}: not a whole PNG or JPG image")
+        raise DataError(f"cannot read {path}: not a whole image")
     return cv2.cvtColor(image, cv2.COLOR_BGR2RGB) if image.ndim == 3 else image
 
 

@@ -85,7 +85,7 @@ def _note_on_cloud(cloud: PointCloud, metrics: MeshMetrics) -> str:
     nearest = np.asarray(cKDTree(cloud.points).query(points, k=[min(2, len(cloud.points))])[0])
     return (
         f"the ground truth is a cloud of {len(cloud.points)} points, {metrics.reference_points} of them scored; "
-        f"accuracy is measured to the nearest, so the spacing (median {np.median(nearest) * 100:.2g} cm) is part of it"
+        f"accuracy is measured to the nearest, so the spacing (median {np.median(nearest) * 100:.3g} cm) is part of it"
     )
 
 

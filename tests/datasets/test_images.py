@@ -2,6 +2,7 @@ import cv2
 import numpy as np
 import pytest
 from uncle.datasets.calibration import Calibration
+from uncle.datasets.depth_units import DepthUnits
 from uncle.datasets.images import Undistorter, list_files, natural_key, read_color, read_depth
 from uncle.recon.core.camera import Camera
 from uncle.recon.core.errors import DataError
@@ -21,15 +22,15 @@ def test_depth_values_and_both_kinds_of_hole(tmp_path):
     values = np.full((6, 8), 2500, np.uint16)
     values[0, 0], values[0, 1] = 0, 65535
     cv2.imwrite(str(tmp_path / "d.png"), values)
-    depth = read_depth(tmp_path / "d.png", CAMERA, 5000.0)
+    depth = read_depth(tmp_path / "d.png", CAMERA, DepthUnits(5000.0))
     assert depth.dtype == np.float32
     assert depth[0, :3].tolist() == [0.0, 0.0, 0.5]
 
 
 def test_depth_with_three_channels_is_refused(tmp_path):
-    cv2.imwrite(str(tmp_path / "d.png"), np.ones((6, 8, 3), np.uint16))
-    with pytest.raises(DataError, match="one 16-bit channel"):
-        read_depth(tmp_path / "d.png", CAMERA, 1000.0)
+    cv2.imwrite(str(tmp_path / "d.png"), np.full((6, 8, 3), (1, 2, 3), np.uint16))
+    with pytest.raises(DataError, match="expected one channel"):
+        read_depth(tmp_path / "d.png", CAMERA, DepthUnits(1000.0))
 
 
 @pytest.mark.parametrize("image", [np.full((6, 8, 3), (10, 20, 30)), np.full((6, 8, 4), (10, 20, 30, 255))])
@@ -64,4 +65,4 @@ def test_undistortion_never_mixes_depths():
 
 def test_missing_image_is_an_error(tmp_path):
     with pytest.raises(DataError, match=r"gone\.png"):
-        read_depth(tmp_path / "gone.png", CAMERA, 1000.0)
+        read_depth(tmp_path / "gone.png", CAMERA, DepthUnits(1000.0))
