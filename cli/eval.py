@@ -15,6 +15,10 @@ if TYPE_CHECKING:
     from ..recon.visualization.run_tables import TextTable
 
 
+# The content tells the format (recon/core/pose_tables.py); the suffix only that it is no mesh.
+TRAJECTORY_SUFFIXES = (".txt", ".tum", ".kitti", ".csv", ".log", ".g2o", ".graph", ".poses", ".dat", ".traj", "")
+
+
 @click.command()
 @click.argument("mesh", required=False, type=click.Path(path_type=Path), metavar="[MESH|TRAJECTORY]")
 @click.argument("gt", required=False, type=click.Path(path_type=Path))
@@ -70,10 +74,10 @@ def command(
 ) -> None:
     """Score MESH against the true mesh or point cloud GT, TRAJECTORY against the true trajectory GT, or a whole run.
 
-    Trajectories are text files (.txt) in the TUM format. Without arguments the run is scored: its mesh (only what the
-    cameras saw), its trajectory and the sigmas of the tracker, depth and colour of frames held out of the map, and its
-    uncertainty, as far as the data set has the ground truth. The scores are also written to RUN/metrics.json.
-    docs/evaluation.md defines them.
+    Trajectories are text in the format of TUM, KITTI, EuRoC, RTAB-Map or Open3D (.log). Without arguments the run
+    is scored: its mesh (only what the cameras saw), its trajectory and the sigmas of the tracker, depth and colour
+    of frames held out of the map, and its uncertainty, as far as the data set has the ground truth. The scores are
+    also written to RUN/metrics.json. docs/evaluation.md defines them.
 
     \b
     uncle eval
@@ -112,10 +116,11 @@ def _check_arguments(
 
 
 def _are_trajectories(first: Path, second: Path) -> bool:
-    is_text = [path.suffix.lower() == ".txt" for path in (first, second)]
-    if any(is_text) and not all(is_text):
-        raise click.UsageError(f"cannot score {first} against {second}: give two trajectories (.txt) or two meshes")
-    return all(is_text)
+    are_poses = [path.suffix.lower() in TRAJECTORY_SUFFIXES for path in (first, second)]
+    if any(are_poses) and not all(are_poses):
+        names = ", ".join(suffix for suffix in TRAJECTORY_SUFFIXES if suffix)
+        raise click.UsageError(f"cannot score {first} against {second}: give two trajectories ({names}) or two meshes")
+    return all(are_poses)
 
 
 def _evaluate_trajectory(ctx: click.Context, estimate: Path, reference: Path, plot: Path | None, as_json: bool) -> None:

@@ -10,7 +10,6 @@ from ..core.errors import DataError
 from ..core.events import Note, OnEvent, Warn, ignore
 from ..core.mesh import Mesh, load_surface
 from ..core.mesh_files.writer import require_writable_suffix
-from ..core.trajectory import Trajectory
 from ..evaluation.run_metrics import RunMetrics, score_run
 from ..evaluation.surface_metrics import (
     DEFAULT_SETTINGS,
@@ -19,6 +18,7 @@ from ..evaluation.surface_metrics import (
     score_surface,
     write_error_mesh,
 )
+from ..evaluation.trajectory_files import load_trajectories
 from ..evaluation.trajectory_metrics import TrajectoryMetrics, evaluate_trajectory
 from ..evaluation.trajectory_pair import CameraPath
 from ..evaluation.visibility import Visibility
@@ -116,8 +116,8 @@ def evaluate_mesh_file(
 def evaluate_trajectory_file(
     estimate: Path, reference: Path, *, plots: Path | None = None, on_event: OnEvent = ignore
 ) -> TrajectoryMetrics:
-    """Score one file of TUM text against another; with `plots` also draw both into that folder. Raises DataError."""
-    estimated, true = Trajectory.load(estimate), Trajectory.load(reference)
+    """Score one file of poses against another; with `plots` also draw both into that folder. Raises DataError."""
+    estimated, true = load_trajectories(estimate, reference, on_event)
     metrics = evaluate_trajectory(estimated, true)
     if plots is not None:
         _draw(CameraPath(estimated, true), plots, on_event)

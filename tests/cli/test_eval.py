@@ -218,6 +218,26 @@ def test_two_trajectories_as_json(trajectories, tmp_path):
     assert not list(tmp_path.glob("*.png"))
 
 
+def test_trajectories_of_other_formats(trajectories, tmp_path):
+    """The truth as KITTI, without time stamps, and as EuRoC."""
+    true = Trajectory.load(trajectories[1])
+    np.savetxt(tmp_path / "truth.kitti", true.T_world_camera[:, :3].reshape(-1, 12))
+    rows = [
+        f"{round(t * 1e9)},{x:.6f},0,0,1,0,0,0"
+        for t, x in zip(true.timestamps, true.T_world_camera[:, 0, 3], strict=True)
+    ]
+    header = "#timestamp [ns],p_x [m],p_y [m],p_z [m],q_w [],q_x [],q_y [],q_z []"
+    (tmp_path / "truth.csv").write_text("\n".join([header, *rows]))
+    trajectories[0].rename(tmp_path / "estimate.tum")
+    expected = json.loads(uncle(tmp_path / "estimate.tum", trajectories[1], "--json").stdout)["trajectory"]
+    for name, warning in (("truth.kitti", "in order"), ("truth.csv", "")):
+        result = uncle(tmp_path / "estimate.tum", tmp_path / name, "--json")
+        assert result.exit_code == 0, result.output
+        assert json.loads(result.stdout)["trajectory"]["ate_m"] == pytest.approx(expected["ate_m"], rel=1e-4)
+        assert warning in result.stderr
+        assert bool(result.stderr) == bool(warning)
+
+
 @pytest.mark.parametrize(
     ("arguments", "code", "message"),
     [
@@ -226,7 +246,7 @@ def test_two_trajectories_as_json(trajectories, tmp_path):
         (["nan.txt", "groundtruth.txt"], 1, "no finite pose"),
         (["words.txt", "groundtruth.txt"], 1, "words.txt, line 2"),
         (["absent.txt", "groundtruth.txt"], 1, "absent.txt"),
-        (["trajectory.txt", "mesh.ply"], 2, "give two trajectories (.txt) or two meshes"),
+        (["trajectory.txt", "mesh.ply"], 2, "give two trajectories (.txt, .tum, .kitti, "),
         (["trajectory.txt"], 2, "give both"),
         (["trajectory.txt", "groundtruth.txt", "--cull", "nowhere"], 2, "are for meshes"),
         (["mesh.ply", "mesh.ply", "--plot", "plots"], 2, "--plot is for trajectories"),
