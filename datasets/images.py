@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-import re
+from collections import Counter
+from collections.abc import Sequence
+from contextlib import suppress
 from pathlib import Path
 
 import cv2
@@ -13,22 +15,23 @@ from ..recon.core.depth_image import DEPTH_SUFFIXES, read_depth_values
 from ..recon.core.errors import DataError
 from ..recon.core.files import read_image
 from .depth_units import DepthUnits
+from .names import sorted_names
 
 IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg")
-SATURATED = 65535  # the largest value of a 16-bit image is never a measurement; Kinect recordings mark holes by it
-
-
-def natural_key(name: str) -> tuple[tuple[int, str], ...]:
-    """Sort key by which `frame2` precedes `frame10`."""
-    return tuple((int(part), "") if part.isdigit() else (-1, part) for part in re.findall(r"\d+|\D+", name))
+SIZE_SAMPLES = 4  # images after the first whose size is read: one of them may be damaged or odd
 
 
 def list_files(folder: Path, suffixes: tuple[str, ...] = IMAGE_SUFFIXES) -> dict[str, Path]:
-    """File stem -> path of the files with one of `suffixes`, in natural order; empty if there is no such folder."""
+    """File stem -> path of the files with one of `suffixes`, in natural order; empty if there is no such folder.
+
+    Of several files of one stem the one whose suffix comes first in `suffixes` is taken.
+    """
     if not folder.is_dir():
         return {}
-    files = {path.stem: path for path in folder.iterdir() if path.suffix.lower() in suffixes and path.name[0] != "."}
-    return {stem: files[stem] for stem in sorted(files, key=natural_key)}
+    found = [path for path in folder.iterdir() if path.suffix.lower() in suffixes and path.name[0] != "."]
+    found.sort(key=lambda path: (suffixes.index(path.suffix.lower()), path.name), reverse=True)
+    files = {path.stem: path for path in found}
+    return {stem: files[stem] for stem in sorted_names(files)}
 
 
 def list_depth_files(folder: Path) -> dict[str, Path]:
@@ -54,7 +57,7 @@ def list_numbered(folder: Path, prefix: str, suffixes: tuple[str, ...] = IMAGE_S
     matches = {
         stem[len(prefix) :]: path for stem, path in list_files(folder, suffixes).items() if stem.startswith(prefix)
     }
-    numbered = {int(number): path for number, path in matches.items() if number.isdigit()}
+    numbered = {int(number): path for number, path in matches.items() if number.isdecimal()}
     return {number: numbered[number] for number in sorted(numbered)}
 
 
@@ -84,6 +87,20 @@ def read_size(path: Path) -> tuple[int, int]:
     return width, height
 
 
+def usual_size(files: Sequence[Path], stated: Camera) -> tuple[int, int]:
+    """(width, height) of most of a few of `files`; as `stated` if none can be read or there is no majority."""
+    last = len(files) - 1
+    chosen = (
+        [files[index] for index in sorted({n * last // SIZE_SAMPLES for n in range(SIZE_SAMPLES + 1)})] if files else []
+    )
+    sizes: Counter[tuple[int, int]] = Counter()
+    for file in chosen:
+        with suppress(DataError):  # reported when the frame is read
+            sizes[read_size(file)] += 1
+    size, count = sizes.most_common(1)[0] if sizes else ((stated.width, stated.height), 1)
+    return size if 2 * count > sizes.total() else (stated.width, stated.height)
+
+
 def _require_size(path: Path, image: np.ndarray, camera: Camera) -> None:
     height, width = image.shape[:2]
     if (width, height) != (camera.width, camera.height):
@@ -93,13 +110,16 @@ def _require_size(path: Path, image: np.ndarray, camera: Camera) -> None:
 class Undistorter:
     """Resamples images to the pinhole camera of the same intrinsics; does nothing where there is no distortion."""
 
-    def __init__(self, camera: Camera, distortion: tuple[float, ...]) -> None:
-        """`distortion` is OpenCV's (k1, k2, p1, p2[, k3]), or empty."""
+    def __init__(self, camera: Camera, distortion: tuple[float, ...], is_fisheye: bool = False) -> None:
+        """`distortion` has OpenCV's coefficients (k1, k2, p1, p2[, k3[, k4, k5, k6]]), or is empty.
+
+        With `is_fisheye` they are k1 to k4 of OpenCV's fisheye model, which is not the identity where they are zero.
+        """
         self._maps: tuple[np.ndarray, np.ndarray] | None = None
-        if any(distortion):
-            self._maps = cv2.initUndistortRectifyMap(
-                camera.matrix, np.array(distortion), None, camera.matrix, (camera.width, camera.height), cv2.CV_32FC1
-            )
+        if any(distortion) or (is_fisheye and distortion):
+            size, rotation = (camera.width, camera.height), np.eye(3)
+            compute = cv2.fisheye.initUndistortRectifyMap if is_fisheye else cv2.initUndistortRectifyMap
+            self._maps = compute(camera.matrix, np.array(distortion), rotation, camera.matrix, size, cv2.CV_32FC1)
             self._fast_maps = cv2.convertMaps(*self._maps, cv2.CV_16SC2)  # fixed point: colour in half the time
 
     def color(self, image: np.ndarray) -> np.ndarray:

@@ -6,7 +6,7 @@ from collections.abc import Iterable
 from pathlib import Path
 
 from ..recon.core.errors import DataError
-from .images import natural_key
+from .names import sorted_names
 
 
 def choose_sequence(path: Path, marker: str) -> tuple[Path, tuple[str, ...]]:
@@ -16,7 +16,7 @@ def choose_sequence(path: Path, marker: str) -> tuple[Path, tuple[str, ...]]:
     """
     if any(path.glob(marker)):
         return path, ()
-    found = sorted((hit.name for hit in path.iterdir() if hit.is_dir() and any(hit.glob(marker))), key=natural_key)
+    found = sorted_names(hit.name for hit in path.iterdir() if hit.is_dir() and any(hit.glob(marker)))
     if not found:
         raise DataError(f"{path} holds no {marker}, and none of its subfolders does")
     if len(found) == 1:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,12 +12,16 @@ import torch
 from torch import Tensor
 
 from ..recon.core.camera import Camera
+from ..recon.core.depth_image import DEPTH_SUFFIXES
 from ..recon.core.errors import DataError, FrameError
 from ..recon.core.frame import Frame
 from .calibration import Calibration
 from .depth_units import sensor_units
-from .images import Undistorter, read_color, read_depth
-from .poses import pose_notes
+from .images import IMAGE_SUFFIXES, Undistorter, read_color, read_depth
+from .intrinsics import fit_calibration
+from .names import match_names, sorted_names
+from .pose_files import FramePoses
+from .poses import NO_POSE, Pose, pose_notes
 from .registration import ColorRegistration
 
 
@@ -27,8 +31,31 @@ class Entry:
 
     color: Path
     depths: dict[str, Path]
-    T_world_camera: np.ndarray | None = None
+    pose: Pose = NO_POSE
     timestamp: float | None = None
+
+
+def frame_entries(
+    colors: Mapping[str, Path],
+    sensors: Mapping[str, Mapping[str, Path]],
+    poses: FramePoses,
+    stamps: np.ndarray | None = None,
+) -> list[Entry]:
+    """A frame for each colour image, with the depth images of all sensors that have its name or number.
+
+    `colors` and the files of each sensor are by file stem; `poses` and `stamps` (N,) are in the order of `colors`.
+    """
+    stems = list(colors)
+    depths = {sensor: match_names(stems, files) for sensor, files in sensors.items()}
+    return [
+        Entry(
+            colors[stem],
+            {sensor: files[stem] for sensor, files in depths.items() if stem in files},
+            poses.poses[index],
+            None if stamps is None else float(stamps[index]),
+        )
+        for index, stem in enumerate(stems)
+    ]
 
 
 class FileRecording:
@@ -58,13 +85,19 @@ class FileRecording:
         self.sensors = tuple(sensors)
         self.reference_mesh = reference_mesh
         self.has_timestamps = all(entry.timestamp is not None for entry in entries)
-        self.has_poses = any(entry.T_world_camera is not None for entry in entries)
+        self.has_poses = any(entry.pose.T_world_camera is not None for entry in entries)
         self._entries = tuple(entries)
+        depths = [path for entry in entries for path in entry.depths.values()]
+        calibration, camera_notes = fit_calibration(calibration, depths, [entry.color for entry in entries])
         self._calibration = calibration
-        self._undistorter = self._color_undistorter = Undistorter(calibration.camera, calibration.distortion)
+        self._undistorter = self._color_undistorter = Undistorter(
+            calibration.camera, calibration.distortion, calibration.is_fisheye
+        )
         self._registration: ColorRegistration | None = None
         if calibration.color_camera is not None and calibration.T_color_depth is not None:
-            self._color_undistorter = Undistorter(calibration.color_camera, calibration.color_distortion)
+            self._color_undistorter = Undistorter(
+                calibration.color_camera, calibration.color_distortion, calibration.color_is_fisheye
+            )
             self._registration = ColorRegistration(
                 calibration.color_camera, calibration.T_color_depth, calibration.camera
             )
@@ -73,9 +106,11 @@ class FileRecording:
         self._depth_units, unit_notes = sensor_units(files, calibration.depth_units_per_m)
         self.notes = (
             *notes,
+            *camera_notes,
             *unit_notes,
             *self._sensor_notes(),
-            *pose_notes([entry.T_world_camera for entry in entries]),
+            *unused_images(self._entries),
+            *pose_notes([entry.pose for entry in entries]),
         )
 
     @property
@@ -95,7 +130,7 @@ class FileRecording:
         entry = self._entries[index]
         index %= len(self)
         depths = {sensor: self.depth(index, sensor) for sensor in self.sensors}
-        return Frame(index, self.timestamp(index), self.color(index), depths, entry.T_world_camera)
+        return Frame(index, self.timestamp(index), self.color(index), depths, entry.pose.T_world_camera)
 
     def timestamp(self, index: int) -> float:
         """Seconds, or the index where the recording has no clock."""
@@ -104,7 +139,7 @@ class FileRecording:
 
     def pose(self, index: int) -> np.ndarray | None:
         """(4, 4) T_world_camera or None."""
-        return self._entries[index].T_world_camera
+        return self._entries[index].pose.T_world_camera
 
     def color(self, index: int) -> Tensor:
         """(H, W, 3) uint8 RGB. Raises FrameError."""
@@ -165,3 +200,26 @@ class FileRecording:
             for sensor, count in counts.items()
             if count < len(self)
         ]
+
+
+def unused_images(entries: Sequence[Entry]) -> list[str]:
+    """A line for each folder with image files that belong to no frame: how many, the first, and why."""
+    used = {path for entry in entries for path in (entry.color, *entry.depths.values())}
+    notes = []
+    for folder in dict.fromkeys(path.parent for entry in entries for path in (entry.color, *entry.depths.values())):
+        if not folder.is_dir():
+            continue
+        names = {
+            path.name: path for path in folder.iterdir() if path.suffix.lower() in (*IMAGE_SUFFIXES, *DEPTH_SUFFIXES)
+        }
+        unused = [names[name] for name in sorted_names(names) if names[name] not in used and name[0] != "."]
+        stems = {path.stem for path in used if path.parent == folder}
+        twins = [path for path in unused if path.stem in stems]
+        others = [path for path in unused if path.stem not in stems]
+        if twins:
+            notes.append(
+                f"{folder} holds {len(twins)} images beside another of the same name, not used: {twins[0].name}"
+            )
+        if others:
+            notes.append(f"{len(others)} images of {folder} belong to no frame (the first: {others[0].name})")
+    return notes

@@ -59,7 +59,7 @@ BUILT_IN = (
     ReaderSpec("senfunet", "left_rgb/ or 1/left_rgb/", "rooms of SenFuNet and of `uncle synth`", ".senfunet"),
     ReaderSpec("replica", "results/frame*.jpg", "Replica as rendered for NICE-SLAM", ".replica"),
     ReaderSpec("7scenes", "frame-*.color.png or seq-*/", "7-Scenes", ".seven_scenes"),
-    ReaderSpec("tum", "rgb.txt and depth.txt", "TUM RGB-D", ".tum"),
+    ReaderSpec("tum", "rgb.txt and depth.txt, or associations.txt", "TUM RGB-D", ".tum"),
     ReaderSpec("scannet", "frames/color/ and frames/pose/", "exported scenes of ScanNet", ".scannet"),
 )
 

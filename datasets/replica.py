@@ -4,16 +4,15 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import numpy as np
-
 from ..recon.core.camera import Camera
 from ..recon.core.depth_image import DEPTH_SUFFIXES
-from ..recon.core.errors import DataError
-from .calibration import Calibration, calibration_or
+from .calibration import Calibration
+from .camera_files import calibration_or
 from .images import list_numbered
 from .layout import first_file
-from .poses import checked_pose, matrix_from_text
-from .recording import Entry, FileRecording
+from .pose_files import FramePoses, poses_of_table
+from .poses import NO_POSE
+from .recording import FileRecording, frame_entries
 
 RENDERED = Calibration(Camera(1200, 680, 600.0, 600.0, 599.5, 339.5), 6553.5)
 
@@ -25,28 +24,17 @@ def matches(path: Path) -> bool:
 
 def read(path: Path) -> FileRecording:
     """Open a scene. Raises DataError."""
-    calibration, notes = calibration_or(path, RENDERED)
-    colors = list_numbered(path / "results", "frame")
-    depths = list_numbered(path / "results", "depth", DEPTH_SUFFIXES)
-    poses = _read_trajectory(path / "traj.txt")
-    entries = [
-        Entry(
-            color,
-            {"depth": depths[number]} if number in depths else {},
-            poses[number] if number < len(poses) else None,
-        )
-        for number, color in colors.items()
-    ]
+    colors = _by_number(list_numbered(path / "results", "frame"))
+    depths = _by_number(list_numbered(path / "results", "depth", DEPTH_SUFFIXES))
+    calibration, notes = calibration_or(path, RENDERED, list(depths.values()))
+    poses = FramePoses([NO_POSE] * len(colors))
+    if colors and (path / "traj.txt").is_file():
+        poses = poses_of_table(path / "traj.txt", list(colors), None)  # camera to world, OpenCV axes
+    entries = frame_entries(colors, {"depth": depths}, poses)
     mesh = first_file([path / "mesh_gt.ply", path.resolve().parent / f"{path.resolve().name}_mesh.ply"])
     sensors = ("depth",) if depths else ()
-    return FileRecording(path, "replica", entries, sensors, calibration, notes=notes, reference_mesh=mesh)
+    return FileRecording(path, "replica", entries, sensors, calibration, notes=notes + poses.notes, reference_mesh=mesh)
 
 
-def _read_trajectory(path: Path) -> list[np.ndarray | None]:
-    """One camera-to-world matrix a line, OpenCV axes; line i belongs to frame i."""
-    if not path.is_file():
-        return []
-    try:
-        return [checked_pose(matrix_from_text(line)) for line in path.read_text().splitlines()]
-    except (OSError, UnicodeDecodeError) as error:
-        raise DataError(f"cannot read {path}: {error}") from error
+def _by_number(files: dict[int, Path]) -> dict[str, Path]:
+    return {str(number): path for number, path in files.items()}

@@ -7,11 +7,12 @@ from pathlib import Path
 
 from ..recon.core.camera import Camera
 from ..recon.core.errors import DataError
-from .calibration import CAMERA_FILE, Calibration, calibration_or
+from .calibration import CAMERA_FILE, Calibration
+from .camera_files import calibration_or, read_camera_file
 from .images import list_depth_files, list_files, read_size
 from .layout import first_file
-from .poses import checked_pose, read_matrix
-from .recording import Entry, FileRecording
+from .pose_files import poses_of_files
+from .recording import FileRecording, frame_entries
 
 TYPICAL = Camera(640, 480, 577.59, 578.73, 318.91, 242.68)
 BORDER_PX = 10  # the export leaves a black rim around the colour images
@@ -30,15 +31,8 @@ def read(path: Path) -> FileRecording:
     if not colors or not depths:
         raise DataError(f"{base} holds no {'depth' if colors else 'color'}/ images; scannet needs color/ and depth/")
     calibration, notes = _calibration(path, base, next(iter(depths.values())))
-    poses = list_files(base / "pose", (".txt",))
-    entries = [
-        Entry(
-            color,
-            {"depth": depths[stem]} if stem in depths else {},
-            checked_pose(read_matrix(poses.get(stem))),  # OpenCV axes; a lost camera is written as -inf
-        )
-        for stem, color in colors.items()
-    ]
+    poses = poses_of_files(base / "pose", list(colors))  # OpenCV axes; a lost camera is written as -inf
+    entries = frame_entries(colors, {"depth": depths}, poses)
     scene = path.resolve().name
     meshes = ["mesh_gt.ply", f"{scene}_vh_clean.ply", f"{scene}_vh_clean_2.ply"]
     return FileRecording(
@@ -47,7 +41,7 @@ def read(path: Path) -> FileRecording:
         entries,
         ("depth",),
         replace(calibration, resize_color=True, margin_px=BORDER_PX),
-        notes=(*notes, f"a rim of {BORDER_PX} pixels is cut off"),
+        notes=(*notes, *poses.notes, f"a rim of {BORDER_PX} pixels is cut off"),
         reference_mesh=first_file([path / name for name in meshes]),
     )
 
@@ -63,10 +57,7 @@ def _calibration(path: Path, base: Path, first_depth: Path) -> tuple[Calibration
     if file is None:
         typical = Calibration(TYPICAL.resized(width, height))
         assumed = (f"no intrinsic/intrinsic_depth.txt: typical intrinsics are used; a {CAMERA_FILE} states others",)
-        calibration, notes = calibration_or(path, typical)
+        calibration, notes = calibration_or(path, typical, [first_depth])
         return calibration, notes or assumed
-    matrix = read_matrix(file)
-    if matrix is None or not (matrix[0, 0] > 0 and matrix[1, 1] > 0):
-        raise DataError(f"{file} holds no 4x4 intrinsic matrix")
-    fx, fy, cx, cy = (float(matrix[place]) for place in ((0, 0), (1, 1), (0, 2), (1, 2)))
-    return calibration_or(path, Calibration(Camera(width, height, fx, fy, cx, cy)))
+    stated = Calibration(Camera(width, height, 1.0, 1.0, 0.0, 0.0))
+    return calibration_or(path, read_camera_file(file, stated, [first_depth]), [first_depth])

@@ -9,11 +9,13 @@ import numpy as np
 
 from ..recon.core.camera import Camera
 from ..recon.core.errors import DataError
-from .calibration import Calibration, calibration_or
+from .calibration import Calibration
+from .camera_files import calibration_or
 from .images import list_depth_files, list_files, read_size
 from .layout import choose_sequence, first_file
-from .poses import OPENGL_TO_OPENCV, Z_UP_FROM_Y_UP, checked_pose, read_matrix
-from .recording import Entry, FileRecording
+from .pose_files import poses_of_files
+from .poses import OPENGL_TO_OPENCV, Z_UP_FROM_Y_UP
+from .recording import FileRecording, frame_entries
 
 # The sensors of the data set by their folder; any other depth folder becomes a sensor of its own name.
 SENSOR_OF_FOLDER = {
@@ -40,17 +42,11 @@ def read(path: Path) -> FileRecording:
     # Rendered with a horizontal field of view of 90 degrees about the middle of the image. The middle is width / 2
     # counted from the outer edge of the first pixel, hence (width - 1) / 2 from its centre, which is our origin.
     default = Calibration(Camera(width, height, width / 2, width / 2, (width - 1) / 2, (height - 1) / 2))
-    calibration, camera_notes = calibration_or(trajectory, default)
     sensors = {sensor: list_depth_files(folder) for sensor, folder in _depth_folders(trajectory).items()}
-    poses = list_files(trajectory / "left_camera_matrix", (".txt",))
-    entries = [
-        Entry(
-            color,
-            {sensor: files[stem] for sensor, files in sensors.items() if stem in files},
-            _pose(poses.get(stem)),
-        )
-        for stem, color in colors.items()
-    ]
+    depths = [file for files in sensors.values() for file in files.values()]
+    calibration, camera_notes = calibration_or(trajectory, default, depths)
+    poses = poses_of_files(trajectory / "left_camera_matrix", list(colors), _to_opencv)
+    entries = frame_entries(colors, sensors, poses)
     names = ("mesh_gt.ply", "gt_mesh.ply", "mesh.ply")
     scene = trajectory.resolve().parent
     mesh = first_file([folder / name for folder in (trajectory, scene) for name in names])
@@ -61,14 +57,13 @@ def read(path: Path) -> FileRecording:
         tuple(sensors),
         calibration,
         name=f"{scene.name}-{trajectory.resolve().name}",
-        notes=notes + camera_notes,
+        notes=notes + camera_notes + poses.notes,
         reference_mesh=mesh,
     )
 
 
-def _pose(path: Path | None) -> np.ndarray | None:
-    matrix = checked_pose(read_matrix(path))
-    return None if matrix is None else Z_UP_FROM_Y_UP @ matrix @ OPENGL_TO_OPENCV
+def _to_opencv(matrix: np.ndarray) -> np.ndarray:
+    return Z_UP_FROM_Y_UP @ matrix @ OPENGL_TO_OPENCV
 
 
 def _depth_folders(trajectory: Path) -> dict[str, Path]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
@@ -9,11 +10,13 @@ from scipy.spatial.transform import Rotation
 
 from ..recon.core.camera import Camera
 from ..recon.core.depth_image import DEPTH_SUFFIXES
-from .calibration import CAMERA_FILE, Calibration, calibration_or
+from .calibration import CAMERA_FILE, Calibration
+from .camera_files import calibration_or
 from .images import list_files
 from .layout import choose_sequence
-from .poses import checked_pose, read_matrix
-from .recording import Entry, FileRecording
+from .pose_files import FramePoses, read_pose
+from .poses import NO_POSE, Pose
+from .recording import FileRecording, frame_entries
 
 # The data set names one camera, that of depth and poses; its images are the raw ones of the Kinect's colour camera.
 # Its place: the Kinect's baseline as built. Its two angles and its focal length: where the rims of near things in the
@@ -38,25 +41,30 @@ def matches(path: Path) -> bool:
 def read(path: Path) -> FileRecording:
     """Open a sequence, or the first sequence of a scene. Raises DataError."""
     sequence, notes = choose_sequence(path, MARKER)
-    calibration, camera_notes = calibration_or(sequence, KINECT)
-    images = list_files(sequence)
-    depths = list_files(sequence, DEPTH_SUFFIXES)
-    frames = [stem.removesuffix(".color") for stem in images if stem.endswith(".color")]
-    entries = [
-        Entry(
-            images[f"{frame}.color"],
-            {"depth": depths[f"{frame}.depth"]} if f"{frame}.depth" in depths else {},
-            checked_pose(read_matrix(sequence / f"{frame}.pose.txt")),  # OpenCV axes as they are
-        )
-        for frame in frames
-    ]
+    images, files = list_files(sequence), list_files(sequence, (".txt",))
+    colors, depths = _of_kind(images, "color"), _of_kind(list_files(sequence, DEPTH_SUFFIXES), "depth")
+    # 3DMatch and BundleFusion have the layout of 7-Scenes, but another camera, which they state.
+    calibration, camera_notes = calibration_or([sequence, sequence.resolve().parent], KINECT, list(depths.values()))
+    found = _of_kind(files, "pose")
+    poses = FramePoses([read_pose(found[frame]) if frame in found else _missing(found) for frame in colors])
+    entries = frame_entries(colors, {"depth": depths}, poses)  # OpenCV axes as they are
     assumed: tuple[str, ...] = ()
     if calibration is KINECT:
         what = "colour is registered to depth by a typical calibration of this data set"
         assumed = (f"{what}; a {CAMERA_FILE} states another",)
     elif calibration.color_camera is None:
-        assumed = (f"colour is taken as registered to depth, as {CAMERA_FILE} names no color_camera",)
+        assumed = ("colour is taken as registered to depth, as the camera file names no other camera",)
     sensors = ("depth",) if any(entry.depths for entry in entries) else ()
     name = f"{sequence.resolve().parent.name}-{sequence.resolve().name}"
     notes += camera_notes + assumed
     return FileRecording(sequence, "7scenes", entries, sensors, calibration, name=name, notes=notes)
+
+
+def _of_kind(files: Mapping[str, Path], kind: str) -> dict[str, Path]:
+    """Frame -> its file, of those called `<frame>.<kind>`."""
+    ending = f".{kind}"
+    return {stem[: -len(ending)]: path for stem, path in files.items() if stem.lower().endswith(ending)}
+
+
+def _missing(found: Mapping[str, Path]) -> Pose:
+    return Pose(None, "it has no .pose.txt") if found else NO_POSE

@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from .errors import DataError
 from .files import write_text
+from .text import read_table
 
 
 @dataclass(frozen=True)
@@ -38,25 +38,9 @@ class Trajectory:
     @staticmethod
     def load(path: Path) -> Trajectory:
         """Read TUM text. Raises DataError naming the first bad line."""
-        try:
-            text = path.read_text()
-        except (OSError, UnicodeDecodeError) as error:
-            raise DataError(f"cannot read trajectory {path}: {error}") from error
-        rows = []
-        for number, line in enumerate(text.splitlines(), start=1):
-            if not line.strip() or line.lstrip().startswith("#"):
-                continue
-            try:
-                row = [float(word) for word in line.replace(",", " ").split()]
-            except ValueError:
-                row = []
-            if len(row) != 8:
-                raise DataError(f"{path}, line {number}: expected 8 numbers `timestamp tx ty tz qx qy qz qw`")
-            rows.append(row)
-        if not rows:
-            raise DataError(f"{path} holds no poses")
-        table = np.array(rows)
-        poses = np.tile(np.eye(4), (len(rows), 1, 1))
+        expected = "8 numbers `timestamp tx ty tz qx qy qz qw`"
+        table = np.array(read_table(path, lambda widths: set(widths) == {8}, expected).rows)
+        poses = np.tile(np.eye(4), (len(table), 1, 1))
         norms = np.linalg.norm(table[:, 4:], axis=1)
         valid = np.isfinite(table).all(axis=1) & (norms > 1e-6)
         poses[valid, :3, :3] = Rotation.from_quat(table[valid, 4:]).as_matrix()

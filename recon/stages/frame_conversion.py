@@ -45,15 +45,19 @@ class FrameConverter:
         except FrameError as error:
             return FrameResult(source_index, None, {str(source_index): str(error)})
         depths: dict[str, np.ndarray] = {}
+        reasons: dict[str, str] = {}
         for sensor in self.sensors:
             try:
-                depths[sensor] = cleaned_depth(self.recording.depth(source_index, sensor).numpy())
+                depth = self.recording.depth(source_index, sensor).numpy()
+                depths[sensor] = cleaned_depth(depth)
+                if not depths[sensor].any():
+                    reasons[sensor] = reason_without_depth(depth)
             except FrameError as error:
                 skipped[f"{source_index}/{sensor}"] = str(error)
         if not depths:
             return FrameResult(source_index, None, {str(source_index): "; ".join(skipped.values())})
-        valid = {sensor: depth for sensor, depth in depths.items() if depth.any()}
-        skipped |= {f"{source_index}/{sensor}": "no valid depth" for sensor in depths if sensor not in valid}
+        valid = {sensor: depth for sensor, depth in depths.items() if sensor not in reasons}
+        skipped |= {f"{source_index}/{sensor}": reason for sensor, reason in reasons.items()}
         record = self._record(index, source_index, tuple(valid))
         write_image(staging.color_path(record.color), color)
         for sensor, depth in valid.items():
@@ -88,3 +92,13 @@ def _digest(images: Iterable[np.ndarray]) -> str:
 def cleaned_depth(depth: np.ndarray) -> np.ndarray:
     """(H, W) float32 metres, with 0 for invalid depth: not finite, negative, or too far to be stored."""
     return np.where((depth > 0.5 / DEPTH_UNITS_PER_M) & (depth < MAX_DEPTH_M), depth, np.float32(0.0))
+
+
+def reason_without_depth(depth: np.ndarray) -> str:
+    """Why no measurement of an image (H, W) in metres is valid, in case none is: a depth scale is easily inverted."""
+    measured = depth[np.isfinite(depth) & (depth > 0)]
+    if not measured.size:
+        return "no valid depth"
+    median = float(np.median(measured))
+    side = f"beyond {MAX_DEPTH_M:.0f} m" if median > 1 else "nearer than a millimetre"
+    return f"no valid depth: its measurements are {side} (median {median:.4g} m), so depth_scale is not right"

@@ -77,7 +77,8 @@ def preprocess_run(  # noqa: PLR0913 (one argument for each option of the comman
         raise DataError(f"--frames selects none of the {len(recording)} frames of {dataset}")
     if run.root.resolve() == dataset.resolve():
         raise RunError(f"{run.root} is the data set itself; choose another place with --run")
-    settings = config_hash(dataset_hash(dataset, run.root), recording.format, [*indices], chosen, lossless, fix)
+    camera = recording.camera.to_dict()  # a file beside the data set may state it
+    settings = config_hash(dataset_hash(dataset, run.root), recording.format, [*indices], chosen, lossless, fix, camera)
     with writing(run, STAGE, on_event, is_new=True):
         earlier = _earlier_manifest(run)
         if not overwrite and earlier and STAGE in earlier.stages and earlier.stages[STAGE].config_hash == settings:
@@ -132,17 +133,26 @@ def _inspect(
 
 
 def dataset_hash(dataset: Path, excluded: Path) -> str:
-    """Hash of names, sizes and times of the files below `dataset`, without hidden ones and those below `excluded`."""
+    """Hash of names, sizes and times of the files below `dataset`, without hidden ones and those below `excluded`.
+
+    Links are followed, to files and to folders.
+    """
     digest = hashlib.sha256(str(dataset.resolve()).encode())
-    for folder_name, subfolders, files in os.walk(dataset):
+    visited = {dataset.resolve()}  # a link can lead back to where it is
+    for folder_name, subfolders, files in os.walk(dataset, followlinks=True):
         folder = Path(folder_name)
-        subfolders[:] = sorted(n for n in subfolders if n[0] != "." and (folder / n).resolve() != excluded.resolve())
+        targets = {name: (folder / name).resolve() for name in sorted(subfolders) if name[0] != "."}
+        targets = {name: target for name, target in targets.items() if target != excluded.resolve()}
+        subfolders[:] = [name for name, target in targets.items() if target not in visited]
+        visited |= set(targets.values())
+        digest.update("\0".join(f"{folder / name}\0{target}" for name, target in targets.items()).encode())
         for name in sorted(name for name in files if name[0] != "."):
+            path = folder / name
             try:
-                status = (folder / name).stat()
+                status, target = path.stat(), path.resolve()
             except OSError:
                 continue
-            digest.update(f"{folder / name}\0{status.st_size}\0{status.st_mtime_ns}\0".encode())
+            digest.update(f"{path}\0{target}\0{status.st_size}\0{status.st_mtime_ns}\0".encode())
     return digest.hexdigest()
 
 
@@ -265,7 +275,9 @@ def _require_usable(
     if blind:
         others = [sensor for sensor in sensors if sensor not in blind]
         advice = f"; leave it out with --sensors {' '.join(others)}" if others else ""
-        raise DataError(f"sensor {blind[0]} of {dataset} has no valid depth in any frame{advice}")
+        reasons = [r.skipped[key] for r in results if (key := f"{r.source_index}/{blind[0]}") in r.skipped]
+        why = f" ({reasons[0]})" if reasons and "(" in reasons[0] else ""
+        raise DataError(f"sensor {blind[0]} of {dataset} has no valid depth in any frame{why}{advice}")
 
 
 def _manifest(

@@ -6,6 +6,7 @@ import cv2
 import numpy as np
 import pytest
 from uncle.datasets import open_dataset
+from uncle.datasets.calibration import CameraFile
 from uncle.recon.core.camera import Camera
 from uncle.recon.core.errors import DataError, FrameError
 
@@ -194,9 +195,9 @@ def test_bad_time_stamps_are_refused(write_folder, text):
 
 def test_names_that_never_match_are_an_error_not_an_empty_sensor(write_folder):
     folder = write_folder()
-    for path in sorted((folder / "depth").iterdir()):
-        path.rename(path.with_name(f"d{path.name}"))
-    with pytest.raises(DataError, match=r"d0000\.png.*0000"):
+    for path, number in zip(sorted((folder / "depth").iterdir()), (7, 8, 9), strict=True):
+        path.rename(path.with_name(f"d{number}.png"))
+    with pytest.raises(DataError, match=r"d7\.png.*0000"):
         open_dataset(folder)
 
 
@@ -205,5 +206,4 @@ def test_example_of_the_docs_is_a_valid_camera_file(write_folder, number):
     folder = write_folder()
     example = re.findall(r"```json\n(.*?)```", DOCS.read_text(), re.DOTALL)[number]
     (folder / "camera.json").write_text(example)
-    (folder / "timestamps.txt").write_text("1\n2\n3\n")
-    assert open_dataset(folder).camera.width == 640
+    assert CameraFile.load(folder / "camera.json").width == 640

@@ -41,8 +41,18 @@ def test_both_marks_of_a_hole_are_no_reading(sequence):
     assert (depth[200:] > 0).all()
 
 
-@pytest.mark.parametrize("broken", ["nan", "inf", "scale", "mirror", "words", "short"])
-def test_frame_with_a_broken_pose_has_none(sequence, room, broken):
+@pytest.mark.parametrize(
+    ("broken", "reason"),
+    [
+        ("nan", "not finite"),
+        ("inf", "not finite"),
+        ("scale", "a scale of 2;"),
+        ("mirror", "mirror image"),
+        ("words", "is no number"),
+        ("short", "found 3 numbers"),
+    ],
+)
+def test_frame_with_a_broken_pose_has_none_and_the_note_names_the_reason(sequence, room, broken, reason):
     pose = room.poses(2)[1]
     matrices = {
         "nan": pose * np.nan,
@@ -60,7 +70,10 @@ def test_frame_with_a_broken_pose_has_none(sequence, room, broken):
     assert recording[1].T_world_camera is None
     assert recording[0].T_world_camera is not None
     assert recording.has_poses
-    assert "1 of 2 frames have no usable pose (the first: frame 1)" in recording.notes
+    (note,) = [note for note in recording.notes if "usable pose" in note]
+    assert note.startswith("1 of 2 frames have no usable pose (the first: frame 1: ")
+    assert "frame-000001.pose.txt" in note
+    assert reason in note
 
 
 def test_missing_depth_is_an_empty_image_and_a_note(sequence):

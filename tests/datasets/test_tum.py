@@ -112,7 +112,11 @@ def test_no_pose_in_a_wide_gap(write_sequence, pose_line):
     (folder / "groundtruth.txt").write_text("\n".join(lines))
     recording = open_dataset(folder)
     assert [recording.pose(index) is None for index in range(3)] == [True, True, False]
-    assert "2 of 3 frames have no usable pose (the first: frame 0)" in recording.notes
+    (note,) = [note for note in recording.notes if "2 of 3 frames have no usable pose (the first: frame 0: " in note]
+    assert "before the first usable pose" in note
+    assert any(
+        "1 of 6 poses cannot be used; the first: " in note and "line 1: its numbers" in note for note in recording.notes
+    )
 
 
 def test_interpolation_agrees_with_slerp():
@@ -125,7 +129,7 @@ def test_interpolation_agrees_with_slerp():
     poses[:, :3, :3] = rotations.as_matrix()
     poses[:, :3, 3] = [[0, 0, 0], [1, 2, 3], [2, 0, 0]]
     stamps = np.array([0.0, 0.02, 0.071, 0.1])
-    found = np.array(interpolate_poses(Trajectory(times, poses), stamps))
+    found = np.array([pose.T_world_camera for pose in interpolate_poses(Trajectory(times, poses), stamps)])
     np.testing.assert_allclose(found[:, :3, :3], Slerp(times, rotations)(stamps).as_matrix(), atol=1e-12)
     np.testing.assert_allclose(found[:, 0, 3], np.interp(stamps, times, [0, 1, 2]), atol=1e-12)
 

@@ -2,7 +2,7 @@
 
 import errno
 import json
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import cv2
@@ -201,6 +201,35 @@ def test_a_changed_file_of_the_data_set_is_a_change(convert, dataset):
     convert(MemoryRecording())
     (dataset / "image").write_text("another")
     assert not convert(MemoryRecording())[0].unchanged
+
+
+def test_a_change_behind_a_link_is_a_change(convert, dataset, tmp_path):
+    for name in ("files", "others"):
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "image").write_text("one")
+    (dataset / "folder").symlink_to(tmp_path / "files")
+    (dataset / "folder" / "back").symlink_to(dataset)  # walked once
+    (dataset / "file").symlink_to(tmp_path / "others" / "image")
+    convert(MemoryRecording())
+    assert convert(MemoryRecording())[0].unchanged
+    (tmp_path / "files" / "image").write_text("three")
+    assert not convert(MemoryRecording())[0].unchanged
+    (tmp_path / "others" / "image").write_text("three")
+    assert not convert(MemoryRecording())[0].unchanged
+    (dataset / "folder").unlink()
+    (dataset / "folder").symlink_to(tmp_path / "others")
+    assert not convert(MemoryRecording())[0].unchanged
+
+
+def test_another_camera_is_a_change(convert):
+    convert(MemoryRecording())
+    assert not convert(MemoryRecording(camera=replace(CAMERA, fx=41.0)))[0].unchanged
+
+
+def test_depth_of_another_unit_is_named():
+    assert conversion.reason_without_depth(np.zeros((2, 2))) == "no valid depth"
+    assert "beyond 66 m (median 1500 m)" in conversion.reason_without_depth(np.full((2, 2), 1500.0))
+    assert "nearer than a millimetre (median 0.0001 m)" in conversion.reason_without_depth(np.full((2, 2), 1e-4))
 
 
 def test_a_run_inside_the_data_set_is_no_change_of_it(dataset):
