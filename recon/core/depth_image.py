@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import zipfile
 from pathlib import Path
 
@@ -68,6 +69,7 @@ def _read_tiff(path: Path) -> np.ndarray:
     except DataError:
         import tifffile
 
+        logging.getLogger("tifffile").setLevel(logging.CRITICAL)  # it would report what is raised anyway
         try:
             return np.asarray(tifffile.imread(path, key=0))
         except Exception as error:  # of many types, for a file that is damaged
@@ -77,7 +79,7 @@ def _read_tiff(path: Path) -> np.ndarray:
 def _read_npy(path: Path) -> np.ndarray:
     try:
         array = np.load(path, allow_pickle=False)
-    except (OSError, ValueError, EOFError, MemoryError, SyntaxError) as error:
+    except Exception as error:  # of many types, for a header that is damaged
         raise DataError(f"cannot read {path}: not a whole NPY file of numbers ({error})") from error
     if not isinstance(array, np.ndarray):
         raise DataError(f"cannot read {path}: it is an archive; call it .npz")
@@ -95,7 +97,9 @@ def _read_npz(path: Path) -> np.ndarray:
             raise DataError(f"{path}: {name} has {sizes[name]} bytes unpacked, which is no image")
         with np.load(path, allow_pickle=False) as arrays:
             array: np.ndarray = arrays[name]
-    except (OSError, ValueError, EOFError, KeyError, MemoryError, zipfile.BadZipFile) as error:
+    except DataError:
+        raise
+    except Exception as error:  # of many types, for an archive or a header that is damaged
         raise DataError(f"cannot read {path}: not a whole NPZ file of numbers ({error})") from error
     return array
 

@@ -84,7 +84,10 @@ def read_image(path: Path, flags: int) -> np.ndarray:
         data = np.fromfile(path, dtype=np.uint8)
     except OSError as error:
         raise DataError(f"cannot read {path}: {error.strerror}") from error
-    image = cv2.imdecode(data, flags) if _is_whole(data.tobytes()) else None
+    try:
+        image = cv2.imdecode(data, flags) if _is_whole(data.tobytes()) else None
+    except cv2.error:  # a size that no image has, for example
+        image = None
     if image is None:
         raise DataError(f"cannot read {path}: not a whole image")
     return cv2.cvtColor(image, cv2.COLOR_BGR2RGB) if image.ndim == 3 else image

@@ -26,6 +26,7 @@ from .text import NumberTable, TextLine, parse_number, read_table, read_text, te
 
 ORTHONORMAL_TOLERANCE = 2e-2  # two decimals, rounded; anything beyond is no rotation
 NORM_TOLERANCE = 0.05  # of quaternions in text
+MAX_POSITION_M = 1e9  # further than any place on Earth, in millimetres too: the file is damaged
 _EXPECTED = (
     "poses `timestamp tx ty tz qx qy qz qw` (TUM), a matrix of 12 or 16 numbers (KITTI), or another format of "
     "docs/evaluation.md"
@@ -140,7 +141,7 @@ def _matrices(blocks: np.ndarray) -> np.ndarray:
     """(N, 3, 4) or (N, 4, 4) -> (N, 4, 4) with exact rotations, not a number where there is no rigid motion."""
     poses = np.tile(np.eye(4), (len(blocks), 1, 1))
     poses[:, :3] = blocks[:, :3]
-    usable = np.isfinite(blocks).all(axis=(1, 2))
+    usable = (np.abs(blocks) < MAX_POSITION_M).all(axis=(1, 2)) & (np.abs(blocks[:, :3, :3]) < 2).all(axis=(1, 2))
     if blocks.shape[1] == 4:
         usable &= (np.abs(blocks[:, 3] - [0, 0, 0, 1]) < ORTHONORMAL_TOLERANCE).all(axis=1)
     rotations = np.where(usable[:, None, None], poses[:, :3, :3], np.eye(3))
@@ -177,7 +178,7 @@ def _read_vectors(table: NumberTable, values: np.ndarray, columns: list[int]) ->
 def _from_vectors(translations: np.ndarray, quaternions: np.ndarray) -> np.ndarray:
     """(N, 3) and (N, 4) x, y, z, w -> (N, 4, 4); not a number where the quaternion is not of unit length."""
     poses = np.tile(np.eye(4), (len(translations), 1, 1))
-    usable = np.isfinite(translations).all(axis=1) & (np.abs(_norms(quaternions) - 1) < NORM_TOLERANCE)
+    usable = (np.abs(translations) < MAX_POSITION_M).all(axis=1) & (np.abs(_norms(quaternions) - 1) < NORM_TOLERANCE)
     poses[usable, :3, :3] = Rotation.from_quat(quaternions[usable]).as_matrix()
     poses[:, :3, 3] = translations
     poses[~usable] = np.nan
@@ -186,7 +187,8 @@ def _from_vectors(translations: np.ndarray, quaternions: np.ndarray) -> np.ndarr
 
 def _norms(quaternions: np.ndarray) -> np.ndarray:
     """(N,) lengths; not a number where they are not finite."""
-    norms: np.ndarray = np.linalg.norm(quaternions, axis=1)
+    with np.errstate(over="ignore"):
+        norms: np.ndarray = np.linalg.norm(quaternions, axis=1)
     return norms
 
 

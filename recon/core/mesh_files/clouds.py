@@ -49,7 +49,8 @@ def read_pcd(path: Path, data: bytes) -> Polygons:
             there = f"{points} points take {points * row.itemsize} bytes, but {len(body)} follow"
             raise DataError(f"{path} is cut off: {there}")
         table = np.frombuffer(body, row, points)
-        vertices = np.stack([table[f"{axis}"][:, 0].astype(float) for axis in axes], axis=1)
+        with np.errstate(invalid="ignore"):  # signalling NaNs
+            vertices = np.stack([table[f"{axis}"][:, 0].astype(float) for axis in axes], axis=1)
     elif form == b"binary_compressed":
         vertices = _compressed_points(path, points)
     else:

@@ -22,6 +22,7 @@ from .polygons import Polygons, pack, strip_triangles
 _COMPONENTS = {5120: "i1", 5121: "u1", 5122: "i2", 5123: "u2", 5125: "u4", 5126: "f4"}
 _WIDTHS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT2": 4, "MAT3": 9, "MAT4": 16}
 _POINTS, _TRIANGLES, _STRIP, _FAN = 0, 4, 5, 6
+MAX_COUNT = 200_000_000  # values of an accessor: without a buffer they cost a file nothing
 # Extensions that change where the surface is; others concern its colours and light alone.
 _UNREAD = (
     "KHR_draco_mesh_compression",
@@ -165,6 +166,8 @@ class _Scene:
         """(count, width) values; float64 from -1 or 0 to 1 where the file states integers that stand for these."""
         accessor = self.tree["accessors"][number]
         count, width, kind = accessor["count"], _WIDTHS[accessor["type"]], _COMPONENTS[accessor["componentType"]]
+        if not 0 <= count <= MAX_COUNT:
+            raise DataError(f"{self.path} is damaged: an accessor has {count} values")
         values = np.zeros((count, width), "<" + kind)
         if "bufferView" in accessor:
             values = self._view(accessor["bufferView"], accessor.get("byteOffset", 0), count, width, kind)

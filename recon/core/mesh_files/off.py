@@ -11,6 +11,7 @@ from ..errors import DataError
 from ..number_text import parse_numbers, parse_table, plain_text
 from .polygons import Polygons
 
+MAX_COUNT = 1 << 40  # of vertices or faces; a larger number is damage
 _MAGIC = re.compile(rb"(ST)?(C)?(N)?(4)?(n)?OFF\b|(?:OFF)(?=[0-9])")
 
 
@@ -27,7 +28,7 @@ def read_off(path: Path, data: bytes) -> Polygons:
     rest = first[magic.end() :].strip()  # some files have the counts in the same line, even without a blank
     lines = [(lines[0][0], rest), *lines[1:]] if rest else lines[1:]
     sizes = parse_numbers(lines[0][1]) if lines else None
-    if sizes is None or len(sizes) not in (2, 3) or (sizes < 0).any() or (sizes % 1 != 0).any():
+    if sizes is None or len(sizes) not in (2, 3) or not ((sizes >= 0) & (sizes < MAX_COUNT)).all():
         raise DataError(f"{path}: its header does not name the numbers of vertices and faces")
     vertex_count, face_count = int(sizes[0]), int(sizes[1])
     rows = lines[1:]

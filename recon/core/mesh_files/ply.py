@@ -367,7 +367,8 @@ def _vertex_values(
     if not all(axis in values for axis in "xyz"):
         there = f"but {', '.join(vertex)}" if vertex else "or no vertices at all"
         raise DataError(f"{path}: element `vertex` has no x, y and z, {there}")
-    vertices = np.stack([values[axis].astype(float) for axis in "xyz"], axis=1)
+    with np.errstate(invalid="ignore"):  # signalling NaNs
+        vertices = np.stack([values[axis].astype(float) for axis in "xyz"], axis=1)
     colors = None
     for names in _COLORS:
         if all(name in values for name in names):

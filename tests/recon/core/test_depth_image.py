@@ -14,6 +14,7 @@ METRES[0, :4] = np.nan, np.inf, -np.inf, -1.0
 EXPECTED = np.where(np.isfinite(METRES) & (METRES > 0), METRES, 0)
 UNITS = (EXPECTED * 1000).astype(np.uint16)
 UNITS[1, 0] = 65535
+COLORS = np.stack([EXPECTED, EXPECTED * 0, EXPECTED], axis=2)
 
 
 def save_exr(path, channels):
@@ -27,7 +28,7 @@ WRITE_REAL = {
     "d.pfm": lambda path: cv2.imwrite(str(path), METRES),
     "d.exr": lambda path: save_exr(path, {"Z": METRES}),
     "grey.exr": lambda path: save_exr(path, {"R": METRES, "G": METRES, "B": METRES}),
-    "with_color.exr": lambda path: save_exr(path, {"RGB": np.stack([METRES, METRES * 0, METRES], 2), "Z": METRES}),
+    "with_color.exr": lambda path: save_exr(path, {"RGB": COLORS, "Z": METRES}),
     "d.npy": lambda path: np.save(path, METRES),
     "double.npy": lambda path: np.save(path, METRES[..., None].astype(np.float64)),
     "d.npz": lambda path: np.savez(path, METRES),
@@ -99,6 +100,8 @@ def test_a_cut_file_is_an_error_that_names_it(tmp_path, name, keep):
         ("d.exr", lambda path: save_exr(path, {"R": EXPECTED, "G": EXPECTED * 2, "B": EXPECTED}), "one channel"),
         ("d.exr", lambda path: path.write_text("no image"), "not a whole EXR image"),
         ("d.png", lambda _: None, "cannot read"),
+        ("d.pgm", lambda path: path.write_bytes(b"P5\n9999999 9999999\n65535\n" + bytes(99)), "not a whole image"),
+        ("d.npy", lambda path: path.write_bytes(b"\x93NUMPY\x01\x00\x10\x00{'descr': '<f4',"), "not a whole NPY file"),
     ],
 )
 def test_what_is_no_depth_image_is_named(tmp_path, name, write, message):

@@ -134,6 +134,8 @@ def test_poses_that_cannot_be_used_are_not_numbers_and_are_named(tmp_path):
         (SECONDS["tum"].replace("1.5", "x"), "is no number"),
         ("1 0 0 0 0.5 0.1 0 0\n2 0 0 0 0.5 0.1 0 0\n", "no four of its numbers are a unit quaternion"),
         ("2 0 0 0 0 2 0 0 0 0 2 0\n" * 3, "no finite pose among its 3"),
+        ("1 1e300 0 0 0 0 0 1\n", "no finite pose among its 1"),
+        ("1e200 0 0 0 0 1 0 0 0 0 1 0\n", "no finite pose among its 1"),
         ("nan " * 12, "no finite pose among its 1"),
         ("VERTEX_SE2 0 1 2 3\n", "a graph without poses in space"),
         ("VERTEX_SE3:QUAT 0 1 2 3\n", "line 1: expected 8 numbers"),

@@ -125,6 +125,7 @@ def test_integers_that_stand_for_real_numbers(read):
         (document().replace('"count": 8', '"count": 7'), "a face names vertex 7, but there are only 7"),
         (document().replace('"count": 36', '"count": 39'), "do not fit into its buffer"),
         (document().replace('"byteLength": 168', '"byteLength": 500'), "has 168 of 500 bytes"),
+        (document(accessors=[{"componentType": 5126, "count": 10**12, "type": "VEC3"}]), "an accessor has 10000"),
         ("[]", "is no glTF file"),
     ],
 )

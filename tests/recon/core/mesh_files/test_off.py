@@ -41,6 +41,7 @@ def test_colours_of_vertices(read, magic, tail):
         ("OFF\n8 6 0\n" + body().replace("4 1 5 7 3", "4 1 5 7"), "line 16: not a face"),
         ("OFF\n8 6 0\n" + body().replace("4.0 3.0 2.5", "4.0 3.0 inf"), "not finite"),
         ("OFF\n8 six 0\n" + body(), "does not name the numbers"),
+        ("OFF\ninf 6 0\n" + body(), "does not name the numbers"),
         ("4OFF\n8 6 0\n" + body(" 1"), "another dimension"),
         ("ply\n", "is no OFF file"),
     ],
