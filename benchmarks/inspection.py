@@ -20,6 +20,7 @@ from uncle.recon.core.correction import CorrectedRecording, Correction
 from uncle.recon.core.errors import UncleError
 from uncle.recon.core.frame import Recording
 from uncle.recon.evaluation.inspection import Inspection, inspect_recording
+from uncle.recon.stages.inspect import MAX_DEPTH_M
 
 LAG_S = 0.05
 USUAL_FRAME_S = 1 / 30  # of recordings without a clock
@@ -143,7 +144,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
                 continue
             started = time.perf_counter()
             inspection = inspect_recording(
-                corrupted, has_timestamps=recording.has_timestamps, max_depth_m=10.0, sensors=options.sensors
+                corrupted, has_timestamps=recording.has_timestamps, max_depth_m=MAX_DEPTH_M, sensors=options.sensors
             )
             first = inspection.first
             found = named(inspection)

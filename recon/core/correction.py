@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Protocol
 
 import numpy as np
 import torch
@@ -86,10 +87,19 @@ def shifted_poses(poses: np.ndarray, lag: float) -> np.ndarray:
     return result
 
 
-def stated_poses(recording: Recording) -> np.ndarray:
+class PosedFrames(Protocol):
+    """Frames that may have poses: a recording, or the frames of a run."""
+
+    def __len__(self) -> int: ...
+
+    def pose(self, index: int) -> np.ndarray | None:
+        """(4, 4) T_world_camera or None."""
+
+
+def stated_poses(frames: PosedFrames) -> np.ndarray:
     """T_world_camera (F, 4, 4) of all frames, NaN where a frame has none."""
     missing = np.full((4, 4), np.nan)
-    poses = [recording.pose(index) for index in range(len(recording))]
+    poses = [frames.pose(index) for index in range(len(frames))]
     return np.array([missing if pose is None else pose for pose in poses]).reshape(-1, 4, 4)
 
 

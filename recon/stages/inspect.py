@@ -5,19 +5,21 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
+from ..core.config.uncle import FusionConfig
 from ..core.correction import Correction
 from ..core.errors import ConfigError, DataError
 from ..core.events import Note, OnEvent, Warn, ignore
 from ..core.files import write_text
 from ..core.frame import Recording
 from ..core.html import Section, page
+from ..evaluation.inspection.correspondences import InspectedFrames
 from ..evaluation.inspection.findings import Verdict
 from ..evaluation.inspection.inspector import THOROUGH, Inspection, inspect_recording
 from ..run.directory import RunDirectory
 from ..run.frames import RunFrames
 from ..visualization.inspection_pages import findings_table, inspection_pictures
 
-MAX_DEPTH_M = 10.0  # as the map takes it unless it is set
+MAX_DEPTH_M = FusionConfig().max_depth_m  # as the map takes it unless it is set
 
 
 def inspect_dataset(
@@ -27,15 +29,7 @@ def inspect_dataset(
 
     Raises DataError (nothing can be read), ConfigError (no such sensor), RunError (the page cannot be written).
     """
-    _require_sensors(recording.sensors, sensors)
-    inspection = inspect_recording(
-        recording,
-        has_timestamps=recording.has_timestamps,
-        max_depth_m=MAX_DEPTH_M,
-        sensors=sensors,
-        effort=THOROUGH,
-        on_event=on_event,
-    )
+    inspection = _inspect(recording, recording.has_timestamps, sensors, on_event)
     if report is not None:
         _write_page(report, recording.name, inspection, inspection_pictures(recording, sensors))
     return inspection
@@ -47,15 +41,7 @@ def inspect_run(
     """Inspect the frames of a run, like `inspect_dataset`. Raises RunError if it has none."""
     manifest = run.load_manifest()
     frames = RunFrames(run)
-    _require_sensors(frames.sensors, sensors)
-    inspection = inspect_recording(
-        frames,
-        has_timestamps=manifest.has_timestamps,
-        max_depth_m=MAX_DEPTH_M,
-        sensors=sensors,
-        effort=THOROUGH,
-        on_event=on_event,
-    )
+    inspection = _inspect(frames, manifest.has_timestamps, sensors, on_event)
     if report is not None:
         _write_page(report, manifest.name, inspection, inspection_pictures(frames, sensors))
     return inspection
@@ -73,24 +59,31 @@ def require_fitting(inspection: Inspection, *, fix: bool, force: bool, on_event:
     """
     for finding in inspection.fit:
         if finding.verdict is Verdict.DOUBT or (force and finding.verdict is Verdict.WRONG):
-            on_event(Warn(f"{finding.check}: {finding.text}" + (f"; {finding.remedy}" if finding.remedy else "")))
+            on_event(Warn(f"{finding.check}: {finding.full_text}"))
     wrong = [finding for finding in inspection.fit if finding.verdict is Verdict.WRONG]
     if force or not wrong:
         return None
     mended = [finding for finding in wrong if fix and finding.correction is not None]
     for finding in wrong:
         if finding not in mended:
-            remedy = f"; {finding.remedy}" if finding.remedy else ""
-            raise DataError(f"{finding.check}: {finding.text}{remedy}; or go on as it is with --force")
+            raise DataError(f"{finding.check}: {finding.full_text}; or go on as it is with --force")
     for finding in mended:
         on_event(Note(f"mended: {finding.check}: {finding.text}"))
     return inspection.correction
 
 
-def _require_sensors(known: Sequence[str], sensors: Sequence[str]) -> None:
-    unknown = [name for name in sensors if name not in known]
+def _inspect(frames: InspectedFrames, has_timestamps: bool, sensors: Sequence[str], on_event: OnEvent) -> Inspection:
+    unknown = [name for name in sensors if name not in frames.sensors]
     if unknown:
-        raise ConfigError(f"there is no sensor {unknown[0]!r}; there are: {', '.join(known)}")
+        raise ConfigError(f"there is no sensor {unknown[0]!r}; there are: {', '.join(frames.sensors)}")
+    return inspect_recording(
+        frames,
+        has_timestamps=has_timestamps,
+        max_depth_m=MAX_DEPTH_M,
+        sensors=sensors,
+        effort=THOROUGH,
+        on_event=on_event,
+    )
 
 
 def _write_page(path: Path, name: str, inspection: Inspection, pictures: str) -> None:

@@ -103,6 +103,10 @@ class Matches:
     def __len__(self) -> int:
         return len(self.first)
 
+    def chosen(self, rows: np.ndarray) -> Matches:
+        """The matches `rows`: positions, or (N,) bool."""
+        return Matches(self.first[rows], self.second[rows], self.pixels_first[rows], self.pixels_second[rows])
+
 
 @dataclass(frozen=True)
 class _Features:
@@ -122,19 +126,9 @@ def find_matches(frames: InspectedFrames, pairs: Sequence[tuple[int, int]]) -> M
     with ThreadPoolExecutor(2) as pool:
         features = dict(zip(indices, pool.map(lambda index: _features(frames, index), indices), strict=True))
         found = list(pool.map(lambda pair: _match(features[pair[0]], features[pair[1]]), pairs))
-    first, second, pixels = [], [], []
-    for (a, b), pair in zip(pairs, found, strict=True):
-        first.append(np.full(len(pair), a))
-        second.append(np.full(len(pair), b))
-        pixels.append(pair)
-    joined = np.concatenate(pixels) if pixels else np.zeros((0, 2, 2))
-    empty = np.zeros(0, int)
-    return Matches(
-        np.concatenate(first) if first else empty,
-        np.concatenate(second) if second else empty,
-        joined[:, 0],
-        joined[:, 1],
-    )
+    first, second = np.repeat(np.array(pairs, int).reshape(-1, 2), [len(pixels) for pixels in found], axis=0).T
+    joined = np.concatenate([np.zeros((0, 2, 2)), *found])
+    return Matches(first, second, joined[:, 0], joined[:, 1])
 
 
 def depth_at(depth: np.ndarray, pixels: np.ndarray) -> np.ndarray:

@@ -112,15 +112,8 @@ def _finding(best: Fit, geometry: Geometry, evidence: Evidence, frame_s: float |
         c, text, remedy = _scale(c, evidence)
         is_depth = c.translation_factor == 1.0
         value = c.depth_factor if is_depth else c.translation_factor
-        return Finding(
-            "depth scale" if is_depth else "pose scale",
-            verdict,
-            _significant_digits(value),
-            "factor",
-            text + ending,
-            remedy,
-            c,
-        )
+        check = "depth scale" if is_depth else "pose scale"
+        return Finding(check, verdict, float(f"{value:.4g}"), "factor", text + ending, remedy, c)
     if best.name == "lag":
         c = _whole_frames(c)
         return Finding("pose clock", verdict, *_clock(c, frame_s, ending), c)
@@ -148,18 +141,12 @@ def _scale(c: Correction, evidence: Evidence) -> tuple[Correction, str, str]:
         unit = {1000.0: "millimetres", 100.0: "centimetres", 0.001: "kilometres"}.get(factor)
         named = f"in {unit}" if unit else f"{factor:.4g} times too large"
         text = f"positions of the camera are {named}: depth and parallax agree with {1 / factor:.4g} of them"
-        return (
-            replace(c, depth_factor=1.0, translation_factor=1 / factor),
-            text,
-            (f"multiply the positions by {1 / factor:.4g}, or use --fix"),
-        )
+        remedy = f"multiply the positions by {1 / factor:.4g}, or use --fix"
+        return replace(c, depth_factor=1.0, translation_factor=1 / factor), text, remedy
     wrong = f"{1 / factor:.4g} times too large" if factor < 1 else f"{factor:.4g} times too small"
     text = f"depth (median {depth:.3g} m) is {wrong}, by the parallax between frames"
-    return (
-        replace(c, depth_factor=factor),
-        text,
-        (f"divide the depth_scale (units per metre) by {factor:.4g}, or use --fix"),
-    )
+    remedy = f"divide the depth_scale (units per metre) by {factor:.4g}, or use --fix"
+    return replace(c, depth_factor=factor), text, remedy
 
 
 def _rounded(factor: float) -> float:
@@ -196,7 +183,3 @@ def _intrinsics(best: Fit, evidence: Evidence, ending: str) -> tuple[float, str,
 def _whole_frames(c: Correction) -> Correction:
     """Poses of other images are off by whole frames; of another clock, by any time."""
     return replace(c, lag=float(round(c.lag))) if abs(c.lag - round(c.lag)) < WHOLE else c
-
-
-def _significant_digits(value: float) -> float:
-    return float(f"{value:.4g}")

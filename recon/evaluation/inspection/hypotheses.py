@@ -1,4 +1,4 @@
-"""Which miscorrection of depth, intrinsics or poses would make matched points agree.
+"""Which misreading of depth, intrinsics or poses would make matched points agree.
 
 A point that two frames show has one place in the world: its depth in the first frame, moved by the poses, predicts
 pixel and depth in the second. Each hypothesis about an error of the input is fitted to that; the one that makes the
@@ -29,7 +29,7 @@ STARTS = 3  # of the grid of starting values, the best are fitted
 
 @dataclass(frozen=True)
 class Hypothesis:
-    """A kind of error: what is fixed, and which parameters of `Parameters` are free, with starting values."""
+    """A kind of error: what is fixed, and which of `_PARAMETERS` are free, with their starting values."""
 
     name: str
     fixed: Correction = field(default_factory=Correction)
@@ -70,9 +70,12 @@ class Evidence:
         if len(self) <= count:
             return self
         keep = np.linspace(0, len(self) - 1, count).astype(int)
-        m = self.matches
-        kept = Matches(m.first[keep], m.second[keep], m.pixels_first[keep], m.pixels_second[keep])
-        return replace(self, matches=kept, depth_first=self.depth_first[keep], depth_second=self.depth_second[keep])
+        return replace(
+            self,
+            matches=self.matches.chosen(keep),
+            depth_first=self.depth_first[keep],
+            depth_second=self.depth_second[keep],
+        )
 
     def residuals(self, correction: Correction) -> np.ndarray:
         """(N, 3): direction in the second camera (x, y) and logarithm of depth, in units of what is small.

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ...core.correction import Correction
+from ...core.correction import Correction, stated_poses
 from ...core.errors import DataError
 from ...core.events import OnEvent, Progress, ignore
 from .correspondences import GAPS, InspectedFrames, Matches, depth_at, find_matches, frame_pairs
@@ -120,9 +120,8 @@ def inspect_recording(
 
 
 def _evidence_by_sensor(frames: InspectedFrames, matches: Matches, sensors: Sequence[str]) -> dict[str, Evidence]:
-    missing = np.full((4, 4), np.nan)
-    stated = [frames.pose(index) for index in range(len(frames))]
-    poses = np.array([missing if pose is None else pose for pose in stated]).reshape(-1, 4, 4)
+    poses = stated_poses(frames)
+    has_pose = np.isfinite(poses).all((1, 2))
     result = {}
     for sensor in sensors:
         first, second = np.zeros(len(matches)), np.zeros(len(matches))
@@ -135,11 +134,9 @@ def _evidence_by_sensor(frames: InspectedFrames, matches: Matches, sensors: Sequ
             first[here] = depth_at(depth, matches.pixels_first[here])
             here = matches.second == index
             second[here] = depth_at(depth, matches.pixels_second[here])
-        known = (first > 0) & (second > 0)
-        known &= np.isfinite(poses[matches.first]).all((1, 2)) & np.isfinite(poses[matches.second]).all((1, 2))
-        kept = Matches(matches.first[known], matches.second[known], matches.pixels_first[known],
-                       matches.pixels_second[known])  # fmt: skip
-        result[sensor] = Evidence(frames.camera, poses, kept, first[known], second[known]).thinned(EVIDENCE)
+        known = (first > 0) & (second > 0) & has_pose[matches.first] & has_pose[matches.second]
+        evidence = Evidence(frames.camera, poses, matches.chosen(known), first[known], second[known])
+        result[sensor] = evidence.thinned(EVIDENCE)
     return result
 
 
@@ -183,9 +180,9 @@ def _as_registration(finding: Finding) -> Finding:
     """A displaced principal point where the outlines could not show whether colour lies beside depth."""
     if finding.check != "intrinsics" or finding.unit != "pixels" or finding.correction is None:
         return finding
-    x, y = finding.correction.shift_x, finding.correction.shift_y
-    return replace(finding, check="registration",
-                   correction=Correction(color_x=float(-round(x)), color_y=float(-round(y))))  # fmt: skip
+    x, y = -round(finding.correction.shift_x), -round(finding.correction.shift_y)
+    return replace(finding, check="registration", remedy=f"move colour by ({x}, {y}) (--fix), or check the calibration",
+                   correction=Correction(color_x=float(x), color_y=float(y)))  # fmt: skip
 
 
 def _frame_s(frames: InspectedFrames, has_timestamps: bool) -> float | None:
@@ -196,8 +193,8 @@ def _frame_s(frames: InspectedFrames, has_timestamps: bool) -> float | None:
 
 def _best_registration(frames: InspectedFrames, sensors: Sequence[str], indices: Sequence[int]) -> Registration | None:
     """Of the sensor whose outlines show it best; all sensors share one camera."""
-    measured = [measure_registration(frames, sensor, indices) for sensor in sensors]
-    return max((one for one in measured if one is not None), key=lambda one: one.height, default=None)
+    measured = measure_registration(frames, sensors, indices)
+    return max(measured.values(), key=lambda one: one.height, default=None)
 
 
 def _is_sure(registration: Registration) -> bool:

@@ -8,6 +8,7 @@ or smaller than depth, and fits best when the outlines are scaled.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 
 import cv2
@@ -41,25 +42,36 @@ class Registration:
     outline: int
 
 
-def measure_registration(frames: InspectedFrames, sensor: str, indices: Sequence[int]) -> Registration | None:
-    """Displacement of colour against the outlines in the depth of `sensor`; None where too few outlines are seen."""
-    side = 2 * REACH_PX + 1
-    total = {scale: np.zeros((side, side)) for scale in SCALES}
-    outline = 0
+class _Agreement:
+    """Agreement of colour with the outlines of one sensor, for every scale and displacement, summed over images."""
+
+    def __init__(self) -> None:
+        side = 2 * REACH_PX + 1
+        self.total = {scale: np.zeros((side, side)) for scale in SCALES}
+        self.outline = 0
+
+    def add(self, depth: np.ndarray, spectra: Sequence[np.ndarray]) -> None:
+        """Add a depth image (H, W), metres, and the spectra of the gradients of its colour."""
+        edges = depth_outlines(depth)
+        self.outline += int((edges[0] != 0).sum() + (edges[1] != 0).sum())
+        for scale in SCALES:
+            self.total[scale] += _correlation(_scaled(edges, scale), spectra, depth.shape)
+
+
+def measure_registration(
+    frames: InspectedFrames, sensors: Sequence[str], indices: Sequence[int]
+) -> dict[str, Registration]:
+    """Displacement of colour against the outlines in the depth of each sensor that shows enough of them."""
+    agreements = {sensor: _Agreement() for sensor in sensors}
     for index in indices:
         try:
-            depth, color = frames.depth(index, sensor).numpy(), frames.color(index).numpy()
+            spectra = [np.fft.rfft2(part) for part in _color_gradients(frames.color(index).numpy())]
         except DataError:
             continue
-        edges = depth_outlines(depth)
-        tensor = _color_gradients(color)
-        outline += int((edges[0] != 0).sum() + (edges[1] != 0).sum())
-        spectra = [np.fft.rfft2(part) for part in tensor]
-        for scale in SCALES:
-            total[scale] += _correlation(_scaled(edges, scale), spectra, depth.shape)
-    if outline < MIN_OUTLINE:
-        return None
-    return _peak(total, outline)
+        for sensor, agreement in agreements.items():
+            with suppress(DataError):
+                agreement.add(frames.depth(index, sensor).numpy(), spectra)
+    return {sensor: _peak(one.total, one.outline) for sensor, one in agreements.items() if one.outline >= MIN_OUTLINE}
 
 
 def depth_outlines(depth: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

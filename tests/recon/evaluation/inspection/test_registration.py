@@ -42,18 +42,18 @@ class Boxes:
 
 @pytest.mark.parametrize("shift", [(0, 0), (8, 0), (0, -8), (-5, 11)], ids=str)
 def test_a_displacement_is_measured(shift):
-    found = measure_registration(Boxes(shift), "depth", range(12))
+    found = measure_registration(Boxes(shift), ["depth"], range(12))["depth"]
     assert np.hypot(found.x - shift[0], found.y - shift[1]) <= 1.5
     assert found.scale == 1.0
     assert found.height > 6
 
 
 def test_colour_of_another_calibration_is_larger():
-    found = measure_registration(Boxes(scale=1.15), "depth", range(12))
+    found = measure_registration(Boxes(scale=1.15), ["depth"], range(12))["depth"]
     assert found.scale == pytest.approx(1.15, abs=0.05)
 
 
 def test_a_plane_has_no_outlines():
     boxes = Boxes()
     boxes.depth = lambda index, sensor: torch.full((240, 320), 2.0)
-    assert measure_registration(boxes, "depth", range(12)) is None
+    assert measure_registration(boxes, ["depth"], range(12)) == {}
