@@ -16,7 +16,7 @@ class Workers:
 
     def __init__(self) -> None:
         self.count = max(1, torch.get_num_threads())
-        self._pool = ThreadPoolExecutor(self.count, initializer=torch.set_num_threads, initargs=(1,))
+        self._pool = ThreadPoolExecutor(self.count)
 
     def share(self, work: Callable[[int, Any], T], jobs: Sequence[Any]) -> list[T]:
         """Results of `work(worker, job)` for all jobs, in order, without gradients.
@@ -26,10 +26,12 @@ class Workers:
 
         @torch.no_grad()
         def run(worker: int) -> list[T]:
+            # Each time: the number is one for all threads of MKL, and products that are split differ from run to run.
+            torch.set_num_threads(1)
             return [work(worker, job) for job in jobs[worker :: self.count]]
 
         if self.count == 1:
             return run(0)
         done = list(self._pool.map(run, range(self.count)))
-        torch.set_num_threads(self.count)  # setting it in a new worker changes it for all
+        torch.set_num_threads(self.count)
         return [done[index % self.count][index // self.count] for index in range(len(jobs))]
