@@ -92,8 +92,9 @@ def follow(room, depths: Sequence[np.ndarray], first: np.ndarray, draw: int = 0)
     return Followed(tracker, tracker.finish())
 
 
-def typical_drift_m(room, poses: list[np.ndarray], draws: int = 3) -> float:
-    """How far the camera gets off at most, the median of several draws of the noise: a single one differs by 1 cm."""
+def typical_drift_m(room, poses: list[np.ndarray], draws: int = 9) -> float:
+    """How far the camera gets off at most, the median of several draws of the noise: a single one differs by 1 cm, and
+    already by how a processor rounds, so that the median of three does, too."""
     depths = [depth_of(room, pose) for pose in poses]
     results = [follow(room, depths, poses[0], draw) for draw in range(draws)]
     assert not any("lost" in result.statuses for result in results)
@@ -121,14 +122,15 @@ def test_sudden_turning_back_is_followed(box_room):
 
 
 def test_a_lost_camera_is_found_at_a_keyframe(box_room):
-    """Three frames without depth, while the camera goes back to where it has been."""
+    """Three frames without depth, while the camera goes back to where it has been; the median of several draws."""
     way = steps(box_room, 0.10)
     poses = [*way, *way[6:3:-1], *way[2::-1]]
     depths = [depth_of(box_room, pose) * (not 10 <= i < 13) for i, pose in enumerate(poses)]
-    result = follow(box_room, depths, poses[0])
-    assert [i for i, s in enumerate(result.statuses) if s == "lost"] == [10, 11, 12]
-    assert result.statuses[13] == "relocalised"
-    assert result.off_m(poses).max() < 0.02
+    results = [follow(box_room, depths, poses[0], draw) for draw in range(9)]
+    for result in results:
+        assert [i for i, s in enumerate(result.statuses) if s == "lost"] == [10, 11, 12]
+        assert result.statuses[13] == "relocalised"
+    assert np.median([result.off_m(poses).max() for result in results]) < 0.02
 
 
 @pytest.mark.parametrize(
