@@ -8,7 +8,7 @@ from __future__ import annotations
 import argparse
 import sys
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -19,7 +19,8 @@ from uncle.datasets.registry import open_dataset
 from uncle.recon.core.correction import CorrectedRecording, Correction
 from uncle.recon.core.errors import UncleError
 from uncle.recon.core.frame import Recording
-from uncle.recon.evaluation.inspection import Inspection, inspect_recording
+from uncle.recon.evaluation.inspection.correspondences import FrameInterval, InspectedFrames
+from uncle.recon.evaluation.inspection.inspector import QUICK, THOROUGH, Inspection, inspect_recording
 from uncle.recon.stages.inspect import MAX_DEPTH_M
 
 LAG_S = 0.05
@@ -120,12 +121,29 @@ def is_named(inspection: Inspection, corruption: Corruption) -> bool:
     return "wrong" not in verdicts and verdicts.count("doubt") <= 1
 
 
+def trials(
+    recording: Recording, only: Sequence[str] | None, slices: int | None
+) -> Iterator[tuple[str, Corruption, InspectedFrames]]:
+    """Name, error and frames of each trial: parts of the recording as they are, or the whole with each error."""
+    if slices:
+        for start in range(0, max(len(recording) - slices // 2, 1), slices):
+            end = min(start + slices, len(recording))
+            yield f"frames {start} to {end - 1}", CORRUPTIONS[0], FrameInterval(recording, start, end)
+        return
+    for corruption in CORRUPTIONS:
+        corrupted = corruption.make(recording) if not only or corruption.name in only else None
+        if corrupted is not None:
+            yield corruption.name, corruption, corrupted
+
+
 def parse(arguments: Sequence[str] | None = None) -> argparse.Namespace:
     """The command line."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("datasets", nargs="+", type=Path, metavar="DATASET")
     parser.add_argument("--only", nargs="+", metavar="CORRUPTION", help="only these corruptions, by name")
     parser.add_argument("--sensors", nargs="+", metavar="NAME", help="only these sensors")
+    parser.add_argument("--slices", type=int, metavar="FRAMES", help="each part of so many frames by itself, as it is")
+    parser.add_argument("--quick", action="store_true", help="inspect as `uncle preprocess` does")
     return parser.parse_args(arguments)
 
 
@@ -136,15 +154,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
     print("| data set | corruption | named | verdict | text | s |\n|---|---|---|---|---|---|", flush=True)
     for path in options.datasets:
         recording = open_dataset(path)
-        for corruption in CORRUPTIONS:
-            if options.only and corruption.name not in options.only:
-                continue
-            corrupted = corruption.make(recording)
-            if corrupted is None:
-                continue
+        for name, corruption, frames in trials(recording, options.only, options.slices):
             started = time.perf_counter()
             inspection = inspect_recording(
-                corrupted, has_timestamps=recording.has_timestamps, max_depth_m=MAX_DEPTH_M, sensors=options.sensors
+                frames,
+                has_timestamps=recording.has_timestamps,
+                max_depth_m=MAX_DEPTH_M,
+                sensors=options.sensors,
+                effort=QUICK if options.quick else THOROUGH,
             )
             first = inspection.first
             found = named(inspection)
@@ -154,9 +171,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             verdict = "" if first is None else str(first.verdict)
             mark = "" if is_right else "**not** "
             seconds = time.perf_counter() - started
-            print(
-                f"| {path.name} | {corruption.name} | {mark}{found} | {verdict} | {text} | {seconds:.0f} |", flush=True
-            )
+            print(f"| {path.name} | {name} | {mark}{found} | {verdict} | {text} | {seconds:.0f} |", flush=True)
     print(f"\n{right} of {total} named rightly ({right / max(total, 1):.1%})")
     return 0
 

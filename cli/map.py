@@ -54,7 +54,7 @@ _METHOD = _MethodName()
 @click.option("--color/--no-color", default=True, show_default=True,
               help="Track by colour and depth, or by depth alone.")  # fmt: skip
 @click.option("--voxel", type=click.FloatRange(0.001, 0.5), default=None, metavar="METRES",
-              help="Voxel size; short for --set fusion.voxel_size_m=METRES.")  # fmt: skip
+              help="Voxel size. Default: chosen from the depth of the recording; 2 cm for rooms.")  # fmt: skip
 @click.option("--hold-out", type=click.IntRange(2), default=None, metavar="N",
               help="Keep every N-th frame out of the map; `uncle eval` scores it.")  # fmt: skip
 @click.option("--set", "overrides", multiple=True, metavar="KEY=VALUE", help="Change a setting (docs/config.md).")

@@ -28,6 +28,7 @@ from ..run.lock import writing
 from ..run.manifest import Manifest, config_hash
 from ..run.tracking_record import TrackingRecord
 from ..sensors.noise_prior import NoisePrior
+from ..sensors.voxel_size import VoxelSize, choose_voxel_size
 from ..tracking.base import GivenPoses
 from ..volume.neural_field import NeuralField
 from .base import StageSummary
@@ -65,6 +66,8 @@ def _map(
     spec = method_spec(config.method)
     spec.check_sensors(config.sensors)
     preprocessed = run.require_stage("preprocess")
+    frames = RunFrames(run, config.sensors)
+    config, voxel = _with_voxel_size(config, frames)
     made_with = [
         preprocessed.output or preprocessed.config_hash,
         *([prior.digest] if prior else []),
@@ -76,7 +79,8 @@ def _map(
     if run.is_current(STAGE, digest) and not overwrite and not continues:
         return MapSummary(frames=len(Trajectory.load(run.trajectory_path)), unchanged=True)
     facts: dict[str, Any] = {} if prior is None else {"prior": _checked(prior, run, config, on_event)}
-    frames = RunFrames(run, config.sensors)
+    if voxel is not None:
+        on_event(Note(f"voxel size {100 * voxel.size_m:g} cm ({voxel.reason}); --voxel sets another"))
     indices, held_out = split_frames(frames, config, on_event)
     _prepare(checkpoint, resume and not overwrite, on_event)
     torch.manual_seed(config.seed)
@@ -91,6 +95,8 @@ def _map(
         facts["tracking"] = result.tracking.counts()
         _report_lost(result.tracking, on_event)
     write_text(run.config_path, to_toml(config))
+    if voxel is not None:
+        facts["voxel_size"] = {"metres": voxel.size_m, "chosen_by": voxel.reason}
     facts |= {"method": config.method, "sensors": list(config.sensors), "seed": config.seed, "held_out": held_out}
     facts |= {
         "device": str(choose_device(config.device)),
@@ -115,6 +121,16 @@ def choose_sensors(manifest: Manifest, wanted: tuple[str, ...]) -> tuple[str, ..
     if unknown:
         raise ConfigError(f"no sensor called {unknown[0]!r} in this run; it has: {', '.join(manifest.sensors)}")
     return tuple(dict.fromkeys(wanted)) or tuple(s for s in manifest.sensors if s != "gt") or manifest.sensors
+
+
+def _with_voxel_size(config: MapConfig, frames: RunFrames) -> tuple[MapConfig, VoxelSize | None]:
+    """The settings with a voxel size, and what it was chosen by if they had none."""
+    fusion = config.fusion
+    if fusion.voxel_size_m > 0:
+        return config, None
+    voxel = choose_voxel_size(frames, len(frames), config.sensors, fusion.max_depth_m)
+    changed = fusion.model_copy(update={"voxel_size_m": voxel.size_m})
+    return config.model_copy(update={"fusion": changed}), voxel
 
 
 def split_frames(frames: RunFrames, config: MapConfig, on_event: OnEvent = ignore) -> tuple[list[int], list[int]]:

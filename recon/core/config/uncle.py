@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Annotated
 
-from pydantic import Field
+from pydantic import Field, field_validator
 
 from .base import Strict
 
@@ -12,7 +12,12 @@ from .base import Strict
 class FusionConfig(Strict):
     """Closed-form fusion of depth images."""
 
-    voxel_size_m: float = Field(0.02, gt=0.001, le=0.5, description="Distance between the samples of the map, metres.")
+    voxel_size_m: float = Field(
+        0.0,
+        ge=0.0,
+        le=0.5,
+        description="Distance between the samples of the map, metres, at least 0.001; 0: chosen from the recording.",
+    )
     truncation_voxels: float = Field(
         4.0,
         ge=2.0,
@@ -33,6 +38,13 @@ class FusionConfig(Strict):
         ge=0,
         description="Integration passes over all frames after the online pass, each with the latest noise models.",
     )
+
+    @field_validator("voxel_size_m")
+    @classmethod
+    def _voxel_is_not_tiny(cls, size_m: float) -> float:
+        if 0.0 < size_m < 0.001:
+            raise ValueError("should be at least 0.001, or 0 for a size that is chosen from the recording")
+        return size_m
 
 
 class UncertaintyConfig(Strict):

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
 from ...core.correction import Correction
-from ...core.errors import DataError
-from .correspondences import InspectedFrames
+from ...sensors.depth_statistics import DepthFacts
+from ...sensors.voxel_size import fitting_voxel_size
 from .findings import Finding, Verdict
 from .hypotheses import LOG_DEPTH, Evidence
 
@@ -18,36 +17,6 @@ PLAUSIBLE_M = (0.1, 30.0)
 MORE_NOISE = 1.4  # ratio of noise above which two names seem to be exchanged
 # How noisy sensors of these names usually are: the kinds of `uncle synth`, SenFuNet's rooms and common names.
 NOISE_RANK = {"gt": 0, "sl": 1, "tof": 1, "kinect": 1, "sgm": 2, "dense": 2, "psmnet": 2, "stereo": 2, "mono": 3}
-
-
-@dataclass(frozen=True)
-class DepthFacts:
-    """Of one sensor: quantiles 5, 50, 95 % of depth in metres, share of pixels with a measurement, images without any,
-    and images tried."""
-
-    quantiles: tuple[float, float, float]
-    fill: float
-    empty: int
-    images: int
-
-
-def depth_facts(frames: InspectedFrames, sensor: str, indices: Sequence[int]) -> DepthFacts | None:
-    """Facts of the depth images `indices`; None if none has a measurement."""
-    values, fills = [], []
-    for index in indices:
-        try:
-            depth = frames.depth(index, sensor).numpy()
-        except DataError:
-            fills.append(0.0)
-            continue
-        known = depth[depth > 0]
-        fills.append(len(known) / depth.size)
-        values.append(known[:: max(1, len(known) // 2000)])
-    joined = np.concatenate(values) if values else np.zeros(0)
-    if not len(joined):
-        return None
-    low, middle, high = (float(q) for q in np.quantile(joined, (0.05, 0.5, 0.95)))
-    return DepthFacts((low, middle, high), float(np.median(fills)), sum(f == 0.0 for f in fills), len(fills))
 
 
 def depth_findings(sensor: str, facts: DepthFacts | None, max_depth_m: float, is_judged: bool) -> list[Finding]:
@@ -98,3 +67,11 @@ def noise_findings(noise: Mapping[str, float], medians: Mapping[str, float]) -> 
                                         text, "check which folder belongs to which sensor"))  # fmt: skip
                 return findings
     return findings
+
+
+def voxel_finding(facts: Sequence[DepthFacts]) -> Finding:
+    """The voxel size that a map has unless it is set."""
+    fitting = fitting_voxel_size(facts)
+    millimetres = round(1000 * fitting.size_m, 3)
+    text = f"{100 * fitting.size_m:g} cm fits ({fitting.reason})"
+    return Finding("voxel size", Verdict.OK, millimetres, "mm", text)

@@ -10,8 +10,9 @@ import numpy as np
 from ...core.correction import Correction, stated_poses
 from ...core.errors import DataError
 from ...core.events import OnEvent, Progress, ignore
+from ...sensors.depth_statistics import depth_facts
 from .correspondences import GAPS, InspectedFrames, Matches, depth_at, find_matches, frame_pairs
-from .depth import depth_facts, depth_findings, noise_findings, relative_noise
+from .depth import depth_findings, noise_findings, relative_noise, voxel_finding
 from .findings import Finding, Verdict, worst
 from .geometry import MIN_EVIDENCE, Geometry, explain, geometry_findings
 from .hypotheses import Evidence
@@ -22,6 +23,7 @@ EVIDENCE = 4000  # matches that take part, at most
 SURE_HEIGHT, SURE_GAIN = 6.3, 3.0  # of a displacement of colour, in standard deviations
 FEW_MATCHES = 40  # between neighbouring frames, below which tracking may fail
 WRONG_PX, DOUBT_PX = 4.0, 3.0
+CONTRADICTED = "outlines fit colour best at another scale, but points seen in two frames show that the intrinsics fit"
 
 
 @dataclass(frozen=True)
@@ -97,22 +99,22 @@ def inspect_recording(
     report(2)
     facts = {sensor: depth_facts(frames, sensor, spread) for sensor in chosen}
     evidence = _evidence_by_sensor(frames, matches, chosen)
-    findings = [] if registered.verdict is Verdict.UNKNOWN else [registered]
-    is_misregistered = registered.verdict is Verdict.WRONG and moved is None  # by a scale: geometry would be misled
-    geometry: list[Finding] = []
-    noise: dict[str, float] = {}
-    if not is_misregistered:
-        geometry, noise = _judge(frames, evidence, has_timestamps, registration is not None and _is_sure(registration))
+    geometry, noise = _judge(frames, evidence, has_timestamps, registration is not None and _is_sure(registration))
+    if registered.verdict is Verdict.WRONG and moved is None:  # by a scale: colour would be of other focal lengths
+        if all(finding.verdict is Verdict.OK for finding in geometry):
+            registered = replace(registered, verdict=Verdict.UNKNOWN, value=None, unit="", text=CONTRADICTED)
+        else:  # geometry was judged with colour that is not where depth is
+            geometry, noise = [], {}
     report(3)
-    findings += geometry
-    if registered.verdict is Verdict.UNKNOWN:
-        findings.append(registered)
+    is_known = registered.verdict is not Verdict.UNKNOWN
+    findings = [registered, *geometry] if is_known else [*geometry, registered]
     findings += noise_findings(noise, {sensor: one.quantiles[1] for sensor, one in facts.items() if one is not None})
     images = image_facts(frames, spread)
     findings.append(repeated_images(frames, images))
     quality: list[Finding] = []
     for sensor in chosen:
         quality += depth_findings(sensor, facts[sensor], max_depth_m, is_judged=sensor in noise)
+    quality.append(voxel_finding([one for one in facts.values() if one is not None]))
     quality += image_findings(images)
     quality += [time_stamps(frames, has_timestamps), _overlap(matches, pairs)]
     report(steps)

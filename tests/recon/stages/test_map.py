@@ -99,6 +99,18 @@ def test_baseline_end_to_end(make_mappable_run, box_room):
     assert not run.beta_path("gt", 0).exists()
 
 
+def test_voxel_size_is_chosen_told_and_recorded(make_mappable_run):
+    """The room is 2 m deep, so that its voxels are 2 cm; the same size given by hand is the same map."""
+    run, events = make_mappable_run(("gt",)), []
+    few = ("fusion.min_observations=1", "hold_out=2")
+    map_run(run, settings(*few, method="tsdf"), on_event=events.append)
+    assert any("voxel size 2 cm (median depth " in event.text for event in events if isinstance(event, Note))
+    assert tomllib.loads(run.config_path.read_text())["fusion"]["voxel_size_m"] == 0.02
+    assert load_field(run).grid.voxel_size_m == pytest.approx(0.02)
+    assert run.load_manifest().stages["map"].facts["voxel_size"]["metres"] == 0.02
+    assert map_run(run, settings(*few, "fusion.voxel_size_m=0.02", method="tsdf")).unchanged
+
+
 def test_nothing_is_left_of_an_earlier_map(make_mappable_run):
     """Beta maps and curves belong to the map at hand, not to the one before."""
     run = make_mappable_run()

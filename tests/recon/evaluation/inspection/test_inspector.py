@@ -5,8 +5,10 @@ import pytest
 import torch
 from uncle.recon.core.correction import CorrectedRecording, Correction
 from uncle.recon.core.errors import DataError, FrameError
-from uncle.recon.evaluation.inspection import Verdict, inspect_recording
+from uncle.recon.evaluation.inspection import Verdict, inspect_recording, inspector
 from uncle.recon.evaluation.inspection.correspondences import FrameInterval
+from uncle.recon.evaluation.inspection.inspector import QUICK
+from uncle.recon.evaluation.inspection.registration import Registration
 
 
 def inspect(recording, **options):
@@ -47,6 +49,17 @@ def test_an_error_is_named_with_its_size(box_recording, error, check, field, exp
     assert (first.check, first.verdict) == (check, Verdict.WRONG), first
     assert getattr(first.correction, field) == pytest.approx(expected, abs=tolerance)
     assert first.correction == inspection.correction
+
+
+def test_another_scale_of_colour_is_believed_unless_matches_contradict(box_recording, monkeypatch):
+    """Few views of one scene can agree best at a scale by chance; the focal length then shows that it is one."""
+    best = Registration(x=0.0, y=0.0, scale=1.15, height=20.0, gain=9.0, outline=9000)
+    monkeypatch.setattr(inspector, "measure_registration", lambda *_: {"depth": best})
+    assert finding(inspect(box_recording, effort=QUICK), "registration").verdict is Verdict.UNKNOWN
+    zoomed = CorrectedRecording(box_recording, Correction(focal_x=1 / 1.15, focal_y=1 / 1.15))
+    inspection = inspect(zoomed, effort=QUICK)
+    assert (inspection.first.check, inspection.first.verdict) == ("registration", Verdict.WRONG)
+    assert inspection.correction is None
 
 
 def test_depth_along_the_ray_is_named(box_recording):
