@@ -13,6 +13,7 @@ from ..core.errors import DataError, RunError
 from ..core.frame import GROUND_TRUTH_SENSOR
 from ..core.mesh import Mesh, PointCloud
 from ..core.mesh_raycaster import Surface
+from ..core.row_keys import row_keys
 from ..run.directory import RunDirectory
 from ..run.frames import RunFrames
 
@@ -127,6 +128,5 @@ def voxel_means(points: np.ndarray, voxel_m: float) -> np.ndarray:
     if len(points) == 0:
         return points
     keys = np.floor((points - points.min(axis=0)) / voxel_m + 0.5).astype(np.int64)  # outer walls lie mid-voxel
-    voxels = np.ravel_multi_index(keys.T, keys.max(axis=0) + 1)
-    _, owner, counts = np.unique(voxels, return_inverse=True, return_counts=True)
+    _, owner, counts = np.unique(row_keys(keys), return_inverse=True, return_counts=True)
     return np.column_stack([np.bincount(owner, points[:, axis]) for axis in range(3)]) / counts[:, None]

@@ -13,7 +13,7 @@ import torch
 
 from ..core.config.map_config import MapConfig, to_toml
 from ..core.device import choose_device
-from ..core.errors import ConfigError, RunError
+from ..core.errors import ConfigError, DataError, RunError
 from ..core.events import Note, OnEvent, Warn, ignore
 from ..core.files import write_text
 from ..core.tensor_files import load_tensors, save_tensors
@@ -30,7 +30,9 @@ from ..run.tracking_record import TrackingRecord
 from ..sensors.noise_prior import NoisePrior
 from ..sensors.voxel_size import VoxelSize, choose_voxel_size
 from ..tracking.base import GivenPoses
+from ..volume.block_index import RANGE
 from ..volume.neural_field import NeuralField
+from ..volume.sparse_grid import BLOCK
 from .base import StageSummary
 
 STAGE = "map"
@@ -145,9 +147,23 @@ def split_frames(frames: RunFrames, config: MapConfig, on_event: OnEvent = ignor
         GivenPoses.check(bool(posed))
     if len(posed) < len(frames):
         on_event(Warn(f"{len(frames) - len(posed)} of {len(frames)} frames have no camera pose and are left out"))
+    if not config.tracking.enabled:
+        posed = _within_range(posed, frames, config, on_event)
     every = config.hold_out
     held_out = [index for index in posed if every and index % every == every - 1]
     return sorted(set(posed) - set(held_out)), held_out
+
+
+def _within_range(posed: list[int], frames: RunFrames, config: MapConfig, on_event: OnEvent) -> list[int]:
+    """The frames whose surroundings the voxel grid can hold; a warning names the others. Raises DataError for none."""
+    limit_m = RANGE * BLOCK * config.fusion.voxel_size_m - config.fusion.max_depth_m
+    beyond = [index for index in posed if np.abs(frames.known_pose(index)[:3, 3]).max() > limit_m]
+    if beyond:
+        text = f"{len(beyond)} of {len(frames)} frames lie more than {limit_m / 1000:.0f} km from the origin"
+        if len(beyond) == len(posed):
+            raise DataError(f"{text}: no frame can be mapped; give the poses in metres, from an origin nearby")
+        on_event(Warn(f"{text} and are left out of the map; the first is frame {beyond[0]}"))
+    return [index for index in posed if index not in beyond]
 
 
 def gpu_memory() -> dict[str, float]:

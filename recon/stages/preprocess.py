@@ -20,6 +20,7 @@ import numpy as np
 from ..core.correction import CorrectedRecording, Correction
 from ..core.errors import DataError, RunError
 from ..core.events import Note, OnEvent, Warn, ignore, track_progress
+from ..core.far_frames import describe_far_frames, far_frames
 from ..core.files import explain_write_errors, write_text
 from ..core.frame import Recording
 from ..core.trajectory import Trajectory
@@ -244,6 +245,11 @@ def _report(results: Sequence[FrameResult], recording: Recording, on_event: OnEv
         reasons = [r.skipped[key] for r in results if r.record and (key := f"{r.source_index}/{sensor}") in r.skipped]
         if reasons:
             on_event(Warn(f"{len(reasons)} of {len(results)} {sensor} images left out; the first: {reasons[0]}"))
+    posed = [r.record for r in results if r.record and r.record.T_world_camera is not None]
+    if posed:
+        positions = np.array([record.T_world_camera for record in posed])[:, :3, 3]
+        if text := describe_far_frames(far_frames(positions), [record.source_index for record in posed]):
+            on_event(Warn(text))
     lost = [r.source_index for r in results if r.record and r.record.T_world_camera is None]
     if lost and recording.has_poses:
         on_event(Warn(f"{len(lost)} of {len(results)} frames have no usable pose; the first is frame {lost[0]}"))

@@ -10,6 +10,7 @@ import numpy as np
 
 from ..core.errors import ConfigError, DataError, DependencyError
 from ..core.events import Note, OnEvent, Warn, ignore
+from ..core.far_frames import MIN_GAP_M, far_frames
 from ..core.files import write_bytes, write_image
 from ..core.mesh import Mesh
 from ..core.mesh_raycaster import Surface
@@ -141,7 +142,20 @@ def snapshot_views(mesh: Mesh, run: RunDirectory | None, size: tuple[int, int] =
     poses = run_poses(run) if run is not None else np.zeros((0, 4, 4))
     if run is None or len(poses) == 0:
         return mesh_views(mesh.vertices, mesh.faces, size)
-    return run_views(poses, run.load_camera(), mesh.vertices, mesh.faces, size)
+    poses, faces = _without_far_frames(poses, mesh)
+    return run_views(poses, run.load_camera(), mesh.vertices, faces, size)
+
+
+def _without_far_frames(poses: np.ndarray, mesh: Mesh) -> tuple[np.ndarray, np.ndarray]:
+    """Poses, and faces of the mesh around them, without those far from all others: a picture shows one place."""
+    far = [index for group in far_frames(poses[:, :3, 3]) for index in group.indices]
+    if not far:
+        return poses, mesh.faces
+    poses = np.delete(poses, far, axis=0)
+    low, high = poses[:, :3, 3].min(0) - MIN_GAP_M, poses[:, :3, 3].max(0) + MIN_GAP_M
+    near = ((mesh.vertices > low) & (mesh.vertices < high)).all(1)
+    faces = mesh.faces[near[mesh.faces].all(1)]
+    return poses, faces if len(faces) else mesh.faces
 
 
 def run_poses(run: RunDirectory) -> np.ndarray:

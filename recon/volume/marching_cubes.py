@@ -10,6 +10,7 @@ from skimage.measure import marching_cubes
 from torch import Tensor
 
 from ..core.events import OnEvent, ignore, track_progress
+from ..core.row_keys import row_keys
 from .sparse_grid import BLOCK, SparseGrid, unique_blocks
 
 TILE_BLOCKS = 8  # a tile is 64^3 cells: 1 MB of float32, and large enough that calls do not dominate
@@ -72,11 +73,8 @@ def _tile_surface(sdf: np.ndarray, known: np.ndarray) -> tuple[np.ndarray, np.nd
 
 def _weld(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Merge the vertices that neighbouring tiles share (equal to 1e-3 voxel) and drop faces that collapse."""
-    keys = np.round(vertices * 1024).astype(np.int64)
-    keys -= keys.min(0)
-    span = keys.max(0) + 1
-    packed = (keys[:, 0] * span[1] + keys[:, 1]) * span[2] + keys[:, 2]
-    _, first, inverse = np.unique(packed, return_index=True, return_inverse=True)
+    keys = row_keys(np.round(vertices * 1024).astype(np.int64))
+    _, first, inverse = np.unique(keys, return_index=True, return_inverse=True)
     faces = inverse.reshape(-1)[faces]
     a, b, c = faces.T
     return vertices[first], faces[(a != b) & (b != c) & (c != a)]

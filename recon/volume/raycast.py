@@ -23,8 +23,8 @@ def cast_rays(
     """
     if sdf.device.type == "cpu":
         starts, rays = (np.ascontiguousarray(part.numpy(), dtype=np.float32) for part in (origins, directions))
-        volume, origin, steps = *grid.lookup(), int(far_m / step_m) + 1
-        depth = _march(starts, rays, sdf.numpy(), known.numpy(), volume, origin, grid.voxel_size_m, step_m, steps)
+        steps = int(far_m / step_m) + 1
+        depth = _march(starts, rays, sdf.numpy(), known.numpy(), *grid.lookup(), grid.voxel_size_m, step_m, steps)
         return torch.from_numpy(depth)
     return cast_tensors(grid, sdf, known, origins, directions, far_m, step_m)
 
@@ -73,7 +73,7 @@ def _first_crossing(values: Tensor) -> tuple[Tensor, Tensor]:
 @compiled()
 def _march(
     origins: np.ndarray, directions: np.ndarray, sdf: np.ndarray, known: np.ndarray, volume: np.ndarray,
-    origin: np.ndarray, voxel: float, step: float, steps: int,
+    origin: np.ndarray, far: np.ndarray | None, voxel: float, step: float, steps: int,
 ) -> np.ndarray:  # fmt: skip
     """Coarse steps by the nearest sample until the sign changes; then interpolated ones around that place.
 
@@ -89,11 +89,11 @@ def _march(
             z = count * step
             x, y = np.rint(start[0] + direction[0] * z), np.rint(start[1] + direction[1] * z)
             w = np.rint(start[2] + direction[2] * z)
-            row = row_of(np.int64(x), np.int64(y), np.int64(w), volume, origin)
+            row = row_of(np.int64(x), np.int64(y), np.int64(w), volume, origin, far)
             value = sdf[row] if row >= 0 and known[row] else np.nan
             if before > 0 and value <= 0:
                 depth[ray] = _refined(start, direction, z - 1.5 * step, 2.0 * step / (_FINE - 1), sdf, known, volume,
-                                      origin)  # fmt: skip
+                                      origin, far)  # fmt: skip
                 break
             before = value
     return depth
@@ -102,11 +102,11 @@ def _march(
 @compiled()
 def _refined(
     start: np.ndarray, direction: np.ndarray, first: float, spacing: float, sdf: np.ndarray, known: np.ndarray,
-    volume: np.ndarray, origin: np.ndarray,
+    volume: np.ndarray, origin: np.ndarray, far: np.ndarray | None,
 ) -> float:  # fmt: skip
     before, z = np.nan, first
     for _ in range(_FINE):
-        value = _interpolated(start, direction, z, sdf, known, volume, origin)
+        value = _interpolated(start, direction, z, sdf, known, volume, origin, far)
         if before > 0 and value <= 0:
             return z - spacing * value / (value - before)
         before = value
@@ -117,7 +117,7 @@ def _refined(
 @compiled()
 def _interpolated(
     start: np.ndarray, direction: np.ndarray, z: float, sdf: np.ndarray, known: np.ndarray, volume: np.ndarray,
-    origin: np.ndarray,
+    origin: np.ndarray, far: np.ndarray | None,
 ) -> float:  # fmt: skip
     """Trilinear distance at the point; NaN where one of the samples around is not known."""
     x, y, w = start[0] + direction[0] * z, start[1] + direction[1] * z, start[2] + direction[2] * z
@@ -126,7 +126,7 @@ def _interpolated(
     total = 0.0
     for corner in range(8):
         a, b, c = corner >> 2, (corner >> 1) & 1, corner & 1
-        row = row_of(i + a, j + b, k + c, volume, origin)
+        row = row_of(i + a, j + b, k + c, volume, origin, far)
         if row < 0 or not known[row]:
             return np.nan
         total += sdf[row] * (x if a else 1 - x) * (y if b else 1 - y) * (w if c else 1 - w)

@@ -11,25 +11,22 @@ import torch
 from torch import Tensor
 
 from ..core.compiled import compiled
+from .block_index import BlockIndex, Index, Lookup, block_of, in_range, pack, unpack
 
 BLOCK_BITS = 3
 BLOCK = 1 << BLOCK_BITS  # samples on a side: a power of two, so that compiled loops find blocks by shifts
 ROWS = BLOCK**3
 _LAST = BLOCK - 1
-Index = int | np.int64
-_MARGIN = 8  # blocks of slack when the lookup volume grows, so that it does not grow with every frame
 
 
 class SparseGrid:
-    """The allocated blocks and the rows of their samples. Memory: 4 bytes per block of the bounding box."""
+    """The allocated blocks and the rows of their samples. Memory grows with the number of blocks (`BlockIndex`)."""
 
     def __init__(self, voxel_size_m: float, device: torch.device | str = "cpu") -> None:
         self.voxel_size_m = float(voxel_size_m)
         self.device = torch.device(device)
         self.blocks = torch.empty(0, 3, dtype=torch.int64, device=self.device)  # (B, 3) block coordinates
-        self._origin = torch.zeros(3, dtype=torch.int64, device=self.device)
-        self._volume = torch.full((1, 1, 1), -1, dtype=torch.int32, device=self.device)
-        self._shape = torch.ones(3, dtype=torch.int64, device=self.device)  # of the volume; no lookup waits for it
+        self._index = BlockIndex(self.device)
 
     @property
     def rows(self) -> int:
@@ -42,39 +39,28 @@ class SparseGrid:
         return BLOCK * self.voxel_size_m
 
     def allocate(self, blocks: Tensor) -> int:
-        """Add those of `blocks` (M, 3) int64 that do not exist yet; returns how many were new. Existing rows stay."""
+        """Add those of `blocks` (M, 3) int64 that do not exist yet; returns how many were new. Existing rows stay.
+
+        Blocks beyond `block_index.RANGE` in any direction (167 km at 2 cm) are left out.
+        """
         if len(blocks) == 0:
             return 0
-        blocks = unique_blocks(blocks)
+        blocks = unique_blocks(blocks[in_range(blocks)])
         new = blocks[self.block_ids(blocks) < 0]
         if len(new):
-            self._cover(new)
-            ids = torch.arange(len(self.blocks), len(self.blocks) + len(new), dtype=torch.int32, device=self.device)
-            x, y, z = (new - self._origin).unbind(-1)
-            self._volume[x, y, z] = ids
             self.blocks = torch.cat([self.blocks, new])
+            self._index.add(self.blocks, len(new))
         return len(new)
 
     def restore(self, blocks: Tensor) -> None:
         """Become the grid with exactly these blocks (B, 3), in this order."""
-        self.blocks = torch.empty(0, 3, dtype=torch.int64, device=self.device)
-        self._origin, self._volume = torch.zeros_like(self._origin), self._volume.new_full((1, 1, 1), -1)
-        self._shape = torch.ones_like(self._shape)
+        self.blocks, self._index = blocks, BlockIndex(self.device)
         if len(blocks):
-            self._cover(blocks)
-            x, y, z = (blocks - self._origin).unbind(-1)
-            self._volume[x, y, z] = torch.arange(len(blocks), dtype=torch.int32, device=self.device)
-        self.blocks = blocks
+            self._index.add(blocks, len(blocks))
 
     def block_ids(self, blocks: Tensor) -> Tensor:
         """(..., 3) int64 block coordinates -> (...) int64 ids, -1 where there is no block."""
-        shape = self._shape
-        local = blocks - self._origin
-        inside = ((local >= 0) & (local < shape)).all(-1)
-        local = torch.where(inside[..., None], local, 0)
-        flat = (local[..., 0] * shape[1] + local[..., 1]) * shape[2] + local[..., 2]
-        ids = self._volume.view(-1)[flat].long()
-        return torch.where(inside, ids, -1)
+        return self._index.find(blocks)
 
     def sample_rows(self, samples: Tensor) -> Tensor:
         """(..., 3) int64 sample coordinates -> (...) int64 rows, -1 where there is no block."""
@@ -85,13 +71,13 @@ class SparseGrid:
         x, y, z = (samples & _LAST).unbind(-1)
         return torch.where(ids >= 0, ids * ROWS + (x * BLOCK + y) * BLOCK + z, -1)
 
-    def lookup_volume(self) -> tuple[Tensor, Tensor]:
-        """Ids (X, Y, Z) int32 of the blocks around the origin (3,) int64, -1 where there is none."""
-        return self._volume, self._origin
+    def extent(self) -> tuple[Tensor, Tensor]:
+        """Lowest block coordinates (3,) and extent (3,) int64 of a box that holds all blocks."""
+        return self._index.extent()
 
-    def lookup(self) -> tuple[np.ndarray, np.ndarray]:
-        """What compiled loops find rows by, on the CPU: ids (X, Y, Z) of the blocks around the origin (3,)."""
-        return self._volume.numpy(), self._origin.numpy()
+    def lookup(self) -> Lookup:
+        """What compiled loops find rows by (`row_of`), on the CPU."""
+        return self._index.lookup()
 
     def nearest_rows(self, points: Tensor) -> Tensor:
         """(..., 3) world points, metres -> (...) int64 row of the nearest sample, -1 where there is none."""
@@ -116,46 +102,25 @@ class SparseGrid:
         """(M,) ids -> (M, 512, 3) world positions of the samples in row order, metres."""
         return self.blocks[ids][:, None, :] * self.block_size_m + self.inner_offsets()
 
-    def _cover(self, blocks: Tensor) -> None:
-        """Grow the lookup volume until it holds `blocks`."""
-        low, high = blocks.amin(0), blocks.amax(0) + 1
-        if len(self.blocks):
-            old_high = self._origin + torch.tensor(self._volume.shape, device=self.device)
-            if bool((low >= self._origin).all() and (high <= old_high).all()):
-                return
-            low, high = torch.minimum(low, self._origin), torch.maximum(high, old_high)
-        low, high = low - _MARGIN, high + _MARGIN
-        volume = torch.full(tuple((high - low).tolist()), -1, dtype=torch.int32, device=self.device)
-        x, y, z = (self.blocks - low).unbind(-1)
-        volume[x, y, z] = torch.arange(len(self.blocks), dtype=torch.int32, device=self.device)
-        self._origin, self._volume, self._shape = low, volume, high - low
-
 
 def unique_blocks(blocks: Tensor) -> Tensor:
-    """Distinct rows of (M, 3) int64 coordinates within +-2^20, sorted. Packed, hence 50 times quicker than dim=0."""
-    half = 1 << 20
-    x, y, z = (blocks + half).unbind(-1)
-    keys = torch.unique((x << 42) | (y << 21) | z)
-    mask = (1 << 21) - 1
-    return torch.stack([keys >> 42, (keys >> 21) & mask, keys & mask], -1) - half
+    """Distinct rows of (M, 3) int64 coordinates in range, sorted. Packed, hence 50 times quicker than dim=0."""
+    return unpack(torch.unique(pack(blocks)))
 
 
 @compiled()
-def row_of(x: Index, y: Index, z: Index, volume: np.ndarray, origin: np.ndarray) -> Index:
-    """`SparseGrid.sample_rows` of one sample, for compiled loops; volume and origin from `SparseGrid.lookup`."""
-    i, j, k = (x >> BLOCK_BITS) - origin[0], (y >> BLOCK_BITS) - origin[1], (z >> BLOCK_BITS) - origin[2]
-    if i < 0 or j < 0 or k < 0 or i >= volume.shape[0] or j >= volume.shape[1] or k >= volume.shape[2]:
-        return -1
-    block = np.int64(volume[i, j, k])
+def row_of(x: Index, y: Index, z: Index, volume: np.ndarray, origin: np.ndarray, far: np.ndarray | None) -> Index:
+    """`SparseGrid.sample_rows` of one sample, for compiled loops; the arrays from `SparseGrid.lookup`."""
+    block = block_of(x >> BLOCK_BITS, y >> BLOCK_BITS, z >> BLOCK_BITS, volume, origin, far)
     row = block * ROWS + (((x & _LAST) * BLOCK + (y & _LAST)) * BLOCK + (z & _LAST))
     return row if block >= 0 else -1
 
 
 @compiled()
-def _rows_of(samples: np.ndarray, volume: np.ndarray, origin: np.ndarray) -> np.ndarray:
+def _rows_of(samples: np.ndarray, volume: np.ndarray, origin: np.ndarray, far: np.ndarray | None) -> np.ndarray:
     rows = np.empty(len(samples), np.int64)
-    for index in range(len(samples)):
-        rows[index] = row_of(samples[index, 0], samples[index, 1], samples[index, 2], volume, origin)
+    for number in range(len(samples)):
+        rows[number] = row_of(samples[number, 0], samples[number, 1], samples[number, 2], volume, origin, far)
     return rows
 
 

@@ -38,10 +38,10 @@ class TsdfQuery:
 def query_numba(volume: TsdfVolume, points: Tensor, T_world_points: Tensor) -> TsdfQuery:
     """The map at points (N, 3) moved by T_world_points (4, 4), on the CPU: `query_torch` as one compiled loop."""
     values, kept = np.empty((len(points), _COLUMNS), np.float32), np.empty(len(points), np.int64)
-    ids, origin = volume.grid.lookup()
     count = _query_loop(
         points.numpy(), T_world_points[:3, :3].numpy(), T_world_points[:3, 3].numpy(), volume.sums.numpy(),
-        volume.color_sums.numpy(), ids, origin, volume.grid.voxel_size_m, ERROR_CORRELATION, MIN_SIGMA_M, values, kept,
+        volume.color_sums.numpy(), *volume.grid.lookup(), volume.grid.voxel_size_m, ERROR_CORRELATION, MIN_SIGMA_M,
+        values, kept,
     )  # fmt: skip
     columns = torch.from_numpy(values[:count])
     sdf, gradient, sigma, grey, grey_gradient = columns.split([1, 3, 1, 1, 3], 1)
@@ -77,8 +77,8 @@ def _interpolated(values: Tensor, weights: Tensor, slopes: Tensor) -> tuple[Tens
 @compiled()
 def _query_loop(
     points: np.ndarray, rotation: np.ndarray, shift: np.ndarray, sums: np.ndarray, color_sums: np.ndarray,
-    volume: np.ndarray, origin: np.ndarray, voxel: float, error_correlation: float, min_sigma: float,
-    values: np.ndarray, kept: np.ndarray,
+    volume: np.ndarray, origin: np.ndarray, far: np.ndarray | None, voxel: float, error_correlation: float,
+    min_sigma: float, values: np.ndarray, kept: np.ndarray,
 ) -> int:  # fmt: skip
     """Fills `values` (N, _COLUMNS) and `kept` (N,); returns how many points are inside the map."""
     count, rows, place = 0, np.empty(8, np.int64), np.empty(3)
@@ -87,7 +87,7 @@ def _query_loop(
             place[axis] = shift[axis]
             for other in range(3):
                 place[axis] += rotation[axis, other] * points[point, other]
-        if not _corners(place, voxel, sums, volume, origin, rows):
+        if not _corners(place, voxel, sums, volume, origin, far, rows):
             continue
         kept[count] = point
         _blend(place, voxel, rows, sums, color_sums, error_correlation, min_sigma, values[count])
@@ -97,14 +97,20 @@ def _query_loop(
 
 @compiled(inline="always")
 def _corners(
-    place: np.ndarray, voxel: float, sums: np.ndarray, volume: np.ndarray, origin: np.ndarray, rows: np.ndarray
+    place: np.ndarray,
+    voxel: float,
+    sums: np.ndarray,
+    volume: np.ndarray,
+    origin: np.ndarray,
+    far: np.ndarray | None,
+    rows: np.ndarray,
 ) -> bool:
     """The rows of the samples around `place`, which becomes its place between them, 0..1; whether all are known."""
     i, j, k = (np.int64(np.floor(place[0] / voxel)), np.int64(np.floor(place[1] / voxel)),
                np.int64(np.floor(place[2] / voxel)))  # fmt: skip
     place[0], place[1], place[2] = place[0] / voxel - i, place[1] / voxel - j, place[2] / voxel - k
     for corner in range(8):
-        row = row_of(i + (corner >> 2), j + ((corner >> 1) & 1), k + (corner & 1), volume, origin)
+        row = row_of(i + (corner >> 2), j + ((corner >> 1) & 1), k + (corner & 1), volume, origin, far)
         if row < 0 or sums[row, 3] < 1:
             return False
         rows[corner] = row

@@ -13,7 +13,10 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from ...core.errors import DataError
 from .decoders import CHANNELS
+
+MAX_VERTICES = 1 << 25  # of a grid: 4 GB of features
 
 
 @dataclass
@@ -43,6 +46,7 @@ class FeatureGrid:
         x, y, z = (max(2, round(float(size) / voxel_m)) for size in length)
         shape = (x, y, z)
         pitch = (length / (torch.tensor(shape) - 1)).float().to(device)
+        _require_room(shape, bound)
         table = torch.empty(math.prod(shape), CHANNELS).normal_(0.0, std, generator=generator)
         return FeatureGrid(bound[0].float().to(device), pitch, shape, table.to(device), std)
 
@@ -52,6 +56,7 @@ class FeatureGrid:
         before = torch.ceil((low - bound[0].to(low)) / self.pitch - 1e-3).clamp(min=0).long().tolist()
         after = torch.ceil((bound[1].to(low) - high) / self.pitch - 1e-3).clamp(min=0).long().tolist()
         shape = tuple(a + n + b for a, n, b in zip(before, self.shape, after, strict=True))
+        _require_room(shape, bound)
         table = torch.empty(*shape, CHANNELS).normal_(0.0, self.std, generator=generator).to(self.table.device)
         old = tuple(slice(a, a + n) for a, n in zip(before, self.shape, strict=True))
         table[old] = self.table.view(*self.shape, CHANNELS)
@@ -111,3 +116,13 @@ class _WeightedRows(torch.autograd.Function):
         if ctx.needs_input_grad[2]:
             of_weights = torch.stack([(table[row] * grad).sum(-1) for row in rows.unbind(1)], 1)
         return of_table, None, of_weights
+
+
+def _require_room(shape: tuple[int, ...], bound: Tensor) -> None:
+    """Raises DataError for a grid that would not fit into memory."""
+    if math.prod(shape) > MAX_VERTICES:
+        sides = " x ".join(f"{side:.0f}" for side in (bound[1] - bound[0]).tolist())
+        raise DataError(
+            f"the dense grids of this method cannot cover a box of {sides} m: leave out frames that are far from the "
+            "others (uncle preprocess --frames), or set nice.bound"
+        )

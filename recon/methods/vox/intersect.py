@@ -9,8 +9,10 @@ import torch
 from torch import Tensor
 
 from ...core.compiled import compiled
+from ...volume.block_index import block_of
 from ...volume.sparse_grid import SparseGrid
 
+_MOST_PLANES = 2048  # a GPU cuts each ray by all planes between voxels; of more, the compiled loop is quicker
 _THIN = 1e-6  # metres: a corner that is merely touched is not passed through
 
 
@@ -29,14 +31,14 @@ def intersect(voxels: SparseGrid, origins: Tensor, directions: Tensor, far: Tens
 
     origins (N, 3), metres; directions (N, 3) with unit z-component in the camera (`Camera.rays`, rotated).
     """
-    if origins.device.type == "cpu":
-        volume, low = voxels.lookup()
-        starts, ways, ends = (
-            np.ascontiguousarray(part.detach().numpy(), np.float32) for part in (origins, directions, far)
-        )
-        found = _walk(starts, ways, ends, volume, low, voxels.block_size_m, most)
-        return Hits(*(torch.from_numpy(part) for part in found))
-    return intersect_tensors(voxels, origins, directions, far, most)
+    low, shape = (part.cpu().numpy() for part in voxels.extent())
+    if origins.device.type != "cpu" and shape.sum() <= _MOST_PLANES:
+        return intersect_tensors(voxels, origins, directions, far, most)
+    starts, ways, ends = (
+        np.ascontiguousarray(part.detach().cpu().numpy(), np.float32) for part in (origins, directions, far)
+    )
+    found = _walk(starts, ways, ends, *voxels.lookup(), low, shape, voxels.block_size_m, most)
+    return Hits(*(torch.from_numpy(part).to(origins.device) for part in found))
 
 
 def intersect_tensors(voxels: SparseGrid, origins: Tensor, directions: Tensor, far: Tensor, most: int) -> Hits:
@@ -44,11 +46,11 @@ def intersect_tensors(voxels: SparseGrid, origins: Tensor, directions: Tensor, f
 
     A ray is cut by all planes between voxels; each piece lies in the voxel that holds its middle.
     """
-    size, (volume, low) = voxels.block_size_m, voxels.lookup_volume()
+    size, (low, shape) = voxels.block_size_m, voxels.extent()
     start = origins / size - low
     direction = directions / size
     planes = [
-        (torch.arange(volume.shape[axis] + 1, device=start.device) - start[:, axis, None]) / direction[:, axis, None]
+        (torch.arange(int(shape[axis]) + 1, device=start.device) - start[:, axis, None]) / direction[:, axis, None]
         for axis in range(3)
     ]
     reach = torch.where(torch.isfinite(far), far, 1e6)[:, None]
@@ -70,8 +72,8 @@ def intersect_tensors(voxels: SparseGrid, origins: Tensor, directions: Tensor, f
 
 @compiled()
 def _walk(
-    origins: np.ndarray, directions: np.ndarray, far: np.ndarray, volume: np.ndarray, low: np.ndarray, size: float,
-    most: int,
+    origins: np.ndarray, directions: np.ndarray, ends: np.ndarray, volume: np.ndarray, origin: np.ndarray,
+    far: np.ndarray | None, low: np.ndarray, shape: np.ndarray, size: float, most: int,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:  # fmt: skip
     """From voxel to voxel, always through the nearest of the three planes ahead."""
     count = len(origins)
@@ -80,14 +82,14 @@ def _walk(
     cell, step = np.empty(3, np.int64), np.empty(3, np.int64)
     ahead, pitch = np.empty(3), np.empty(3)
     for ray in range(count):
-        first, last = _clip(origins[ray], directions[ray], volume.shape, low, size, far[ray])
+        first, last = _clip(origins[ray], directions[ray], shape, low, size, ends[ray])
         if last <= first:
             continue
         for axis in range(3):
             slope = np.float64(directions[ray, axis]) / size
             start = origins[ray, axis] / size - low[axis]
             place = start + slope * first
-            cell[axis] = min(max(np.int64(np.floor(place)), 0), volume.shape[axis] - 1)
+            cell[axis] = min(max(np.int64(np.floor(place)), 0), shape[axis] - 1)
             step[axis] = 1 if slope > 0 else -1
             pitch[axis] = 1 / abs(slope) if slope != 0 else np.inf
             face = cell[axis] + (1 if slope > 0 else 0)
@@ -96,23 +98,23 @@ def _walk(
         while z < last and found < most:
             axis = 0 if ahead[0] <= ahead[1] and ahead[0] <= ahead[2] else (1 if ahead[1] <= ahead[2] else 2)
             leave = min(ahead[axis], last)
-            block = volume[cell[0], cell[1], cell[2]]
+            block = block_of(cell[0] + low[0], cell[1] + low[1], cell[2] + low[2], volume, origin, far)
             if block >= 0 and leave - z > _THIN:
                 ids[ray, found], entry[ray, found], exit[ray, found] = block, z, leave
                 found += 1
             z = max(leave, z)
             cell[axis] += step[axis]
             ahead[axis] += pitch[axis]
-            if cell[axis] < 0 or cell[axis] >= volume.shape[axis]:
+            if cell[axis] < 0 or cell[axis] >= shape[axis]:
                 break
     return ids, entry, exit
 
 
 @compiled()
 def _clip(
-    origin: np.ndarray, direction: np.ndarray, shape: tuple[int, ...], low: np.ndarray, size: float, far: float
+    origin: np.ndarray, direction: np.ndarray, shape: np.ndarray, low: np.ndarray, size: float, far: float
 ) -> tuple[float, float]:
-    """The part of a ray within the box of the lookup volume, from 0 to `far` at most."""
+    """The part of a ray within the box of all voxels, from 0 to `far` at most."""
     first, last = 0.0, np.float64(far)
     for axis in range(3):
         start, slope = origin[axis] / size - low[axis], np.float64(direction[axis]) / size

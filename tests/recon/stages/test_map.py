@@ -158,6 +158,24 @@ def test_frames_without_pose_are_left_out_with_a_word(make_mappable_run):
     np.testing.assert_array_equal(Trajectory.load(run.trajectory_path).timestamps, [1, 2, 3, 4, *range(6, 12)])
 
 
+def test_a_frame_kilometres_away_costs_no_memory_and_one_out_of_range_is_left_out(make_mappable_run):
+    run = make_mappable_run(("gt",))
+    records = json.loads(run.frames_path.read_text())
+    records[5]["T_world_camera"][0][3] += 100_000.0
+    records[7]["T_world_camera"][1][3] -= 1e9
+    write_text(run.frames_path, json.dumps(records))
+    events = []
+    once = settings("fusion.passes=0", "field.iterations=0", "fusion.min_observations=1")
+    summary = map_run(run, once, on_event=events.append)
+    assert summary.frames == 11
+    assert [event for event in events if isinstance(event, Warn) and "the first is frame 7" in event.text]
+    blocks = load_field(run).grid.blocks
+    assert int(blocks[:, 0].max()) > 100_000 / 0.4
+    assert run.field_path.stat().st_size < 3e8
+    mesh_run(run)
+    assert Mesh.load(run.mesh_path).vertices[:, 0].max() > 99_990
+
+
 def test_what_cannot_be_mapped_is_said(make_mappable_run):
     run = make_mappable_run(("gt",))
     with pytest.raises(ConfigError, match=r"no sensor called 'sl'.*gt"):

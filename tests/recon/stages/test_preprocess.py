@@ -175,6 +175,20 @@ def test_depth_that_is_no_reading_becomes_zero():
     assert found.dtype == np.float32
 
 
+def test_a_frame_far_from_all_others_is_named_with_its_number_and_distance(convert, monkeypatch):
+    recording = MemoryRecording(count=6)
+    near = MemoryRecording.pose
+
+    def pose(self, index):
+        T = near(self, index)
+        T[1, 3] += 1500.0 if index == 4 else 0.0
+        return T
+
+    monkeypatch.setattr(MemoryRecording, "pose", pose)
+    _, events = convert(recording, frames=slice(1, 6), force=True)
+    assert [text for text in texts(events, Warn) if "frame 4: 1500 m" in text]
+
+
 def test_unchanged_is_kept_and_overwrite_redoes(run, convert, dataset):
     convert(MemoryRecording())
     before = run.frames_path.stat().st_mtime_ns

@@ -1,11 +1,14 @@
 """Pictures of scenes whose every pixel is known."""
 
+import json
+
 import numpy as np
 import pytest
 from matplotlib import colormaps
 from uncle.recon.core.camera import Camera
 from uncle.recon.core.errors import ConfigError, DataError, DependencyError
 from uncle.recon.core.events import Note, Warn
+from uncle.recon.core.files import write_text
 from uncle.recon.core.mesh import Mesh
 from uncle.recon.core.mesh_raycaster import Surface
 from uncle.recon.visualization import mesh_pictures as snapshot
@@ -140,6 +143,19 @@ def test_views_of_a_run_come_from_its_cameras(make_box_run, box_room):
     views = snapshot_views(mesh, run, (160, 120))
     assert [view.name.split("_")[0] for view in views] == ["frame", "frame", "frame", "overview"]
     assert views[-1].T_world_camera[2, 3] > mesh.vertices[:, 2].max(), "the overview looks from above the room"
+
+
+def test_views_of_a_run_show_the_room_and_not_a_frame_kilometres_away(make_box_run, box_room):
+    run = make_box_run()
+    expected = snapshot_views(box_room.mesh(), run, (160, 120))
+    records = json.loads(run.frames_path.read_text())
+    records[5]["T_world_camera"][0][3] += 5000.0
+    write_text(run.frames_path, json.dumps(records))
+    room = box_room.mesh()
+    vertices = np.concatenate([room.vertices, room.vertices + np.float32([5000, 0, 0])])
+    mesh = Mesh(vertices, np.concatenate([room.faces, room.faces + len(room.vertices)]))
+    overview = snapshot_views(mesh, run, (160, 120))[-1]
+    assert np.abs(overview.T_world_camera[:3, 3] - expected[-1].T_world_camera[:3, 3]).max() < 5.0
 
 
 def test_up_of_a_turning_level_camera(box_room):

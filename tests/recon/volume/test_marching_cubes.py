@@ -48,6 +48,25 @@ def test_sphere_across_tiles_is_exact_closed_and_faces_outwards(centre, radius):
     assert signed_volume(vertices, faces) == pytest.approx(4 / 3 * np.pi * radius**3, rel=0.03)
 
 
+def test_spheres_kilometres_apart_are_both_whole():
+    """Places so far apart that their coordinates, multiplied, exceed 64 bits."""
+    grid, radius = SparseGrid(VOXEL), 0.4
+    near = torch.cartesian_prod(*[torch.arange(-3, 3)] * 3)
+    far = torch.tensor([100_000, -90_000, 80_000]) * TILE_BLOCKS // 8
+    grid.allocate(torch.cat([near, near + far]))
+
+    def samples(ids: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+        blocks = grid.blocks[ids]
+        local = torch.where(blocks.abs().amax(-1, keepdim=True) > 1000, blocks - far, blocks)
+        values = (local[:, None] * grid.block_size_m + grid.inner_offsets() + 0.01).norm(dim=-1) - radius
+        return values, torch.ones_like(values, dtype=torch.bool)
+
+    _, faces = extract_isosurface(grid, samples)
+    counts = edge_counts(faces)
+    assert (counts == 2).all()
+    assert len(np.unique(faces)) - len(counts) + len(faces) == 4  # twice the Euler characteristic of a sphere
+
+
 def test_room_faces_into_its_free_space():
     """Seen from inside: the volume bounded by walls whose normals point inwards is negative."""
     vertices, faces = extract(lambda p: 0.513 - p.abs().amax(-1), -3, 3)

@@ -3,6 +3,7 @@
 import pytest
 import torch
 from torch.nn.functional import grid_sample
+from uncle.recon.core.errors import DataError
 from uncle.recon.methods.nice.grids import FeatureGrid
 from uncle.recon.methods.nice.scene import enlarged
 
@@ -73,3 +74,11 @@ def test_state_and_back():
     again = FeatureGrid.from_state(grid.to_state(), CPU)
     points = torch.rand(10, 3)
     assert torch.equal(again.lookup(points), grid.lookup(points))
+
+
+def test_a_box_too_large_for_a_dense_grid_is_refused_with_its_size():
+    bound = torch.tensor([[0.0, 0.0, 0.0], [1000.0, 300.0, 100.0]])
+    with pytest.raises(DataError, match=r"1000 x 300 x 100 m.*nice\.bound"):
+        FeatureGrid.over(bound, 0.16, 1.0, torch.Generator(), CPU)
+    with pytest.raises(DataError, match=r"nice\.bound"):
+        make_grid().grown(bound, torch.Generator())

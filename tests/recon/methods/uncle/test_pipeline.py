@@ -47,7 +47,7 @@ def test_facts_are_plain_values_by_sensor(make_mappable_run, tmp_path):
 
 # --- checkpoint --------------------------------------------------------------------------------------------------
 # The cached surface, and the lookup table of the grid, which is made anew from its blocks.
-IGNORED = {"_surface", "_volume", "_origin", "_shape"}
+IGNORED = {"_surface", "_index"}
 
 
 def attributes(value: Any, path: str = "", seen: set[int] | None = None) -> Iterator[tuple[str, Any]]:

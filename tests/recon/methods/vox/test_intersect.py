@@ -63,3 +63,17 @@ def test_rays_that_meet_nothing_have_no_hit(voxels):
         assert (hits.ids == -1).all()
         assert not hits.entry.any()
         assert not hits.exit.any()
+
+
+def test_voxels_kilometres_away_change_nothing(voxels):
+    """They are found by rays beside them, and cost the others nothing."""
+    origins, directions = rays(200)
+    expected = intersect(voxels, origins, directions, torch.full((200,), 8.0), 12)
+    shift = torch.tensor([5_000, -700, 90_000])
+    voxels.allocate(voxels.blocks[:200] + shift)
+    found = intersect(voxels, origins, directions, torch.full((200,), 8.0), 12)
+    torch.testing.assert_close(found.ids, expected.ids)
+    torch.testing.assert_close(found.entry, expected.entry, atol=1e-3, rtol=0)  # counted from another corner
+    centre = (voxels.blocks[200 + 300 : 200 + 301] + 0.5) * SIZE
+    hits = intersect(voxels, centre.float(), torch.tensor([[0.0, 0.0, 1.0]]), torch.tensor([0.05]), 1)
+    assert hits.ids[0, 0] == 500
