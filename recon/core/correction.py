@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 import torch
@@ -14,6 +14,7 @@ from torch import Tensor
 from .camera import Camera
 from .frame import Frame, Recording
 from .se3 import inverse
+from .world_offset import NO_OFFSET, Offset
 
 OPENGL_AXES = np.diag([1.0, -1.0, -1.0, 1.0])
 
@@ -30,6 +31,7 @@ class Correction:
     lag                      frames by which poses are late: frame i has the pose of i + lag
     is_along_ray             depth is a distance from the camera centre instead of along the optical axis
     is_inverted, is_opengl   poses are camera from world; camera axes are right, up, backwards
+    offset_m                 position of the world's new origin, subtracted from those of the camera after all else
     """
 
     depth_factor: float = 1.0
@@ -44,6 +46,7 @@ class Correction:
     is_along_ray: bool = False
     is_inverted: bool = False
     is_opengl: bool = False
+    offset_m: Offset = NO_OFFSET
 
     def camera(self, stated: Camera) -> Camera:
         """The camera to use instead of the stated one."""
@@ -58,9 +61,11 @@ class Correction:
         poses[:, :3, 3] *= self.translation_factor
         if self.is_opengl:
             poses = poses @ OPENGL_AXES
-        return poses if self.lag == 0.0 else shifted_poses(poses, self.lag)
+        poses = poses if self.lag == 0.0 else shifted_poses(poses, self.lag)
+        poses[:, :3, 3] -= self.offset_m
+        return poses
 
-    def describe(self) -> dict[str, float | bool]:
+    def describe(self) -> dict[str, Any]:
         """The fields that differ from the default."""
         default = Correction()
         return {name: value for name, value in vars(self).items() if value != getattr(default, name)}

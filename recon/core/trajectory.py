@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -27,6 +28,14 @@ class Trajectory:
         finite = np.isfinite(self.T_world_camera).all(axis=(1, 2)) & np.isfinite(self.timestamps)
         order = np.flatnonzero(finite)[np.argsort(self.timestamps[finite], kind="stable")]
         return Trajectory(self.timestamps[order], self.T_world_camera[order])
+
+    def moved(self, offset_m: Sequence[float]) -> Trajectory:
+        """The trajectory with `offset_m` (3,) added to all positions."""
+        if not any(offset_m):
+            return self
+        poses = self.T_world_camera.copy()
+        poses[:, :3, 3] += offset_m
+        return Trajectory(self.timestamps, poses)
 
     def save(self, path: Path) -> None:
         """Write TUM text that `evo_ape tum` reads. Raises RunError."""

@@ -25,9 +25,9 @@ class CameraPath:
         """The path of a run. Raises DataError if it has no trajectory, or a file cannot be read."""
         if not run.trajectory_path.is_file():
             raise DataError(f"{run.root} has no trajectory; make it with `uncle map --run {run.root}`")
-        estimate = Trajectory.load(run.trajectory_path)
+        estimate = run.load_trajectory()
         has_reference = run.reference_trajectory_path.is_file()
-        reference = Trajectory.load(run.reference_trajectory_path) if has_reference else None
+        reference = run.load_trajectory(run.reference_trajectory_path) if has_reference else None
         has_record = with_record and run.tracking_path.is_file()
         return CameraPath(estimate, reference, TrackingRecord.load(run.tracking_path) if has_record else None)
 

@@ -14,6 +14,7 @@ from pydantic import ValidationError
 from ..core.camera import Camera
 from ..core.errors import RunError
 from ..core.files import write_text
+from ..core.trajectory import Trajectory
 from .manifest import SCHEMA_VERSION, Manifest, StageRecord, config_hash, library_versions
 
 # stage -> the stages that are made from it
@@ -165,6 +166,11 @@ class RunDirectory:
     def load_camera(self) -> Camera:
         """The camera that all images of the run share. Raises RunError."""
         return self.load_manifest().pinhole_camera()
+
+    def load_trajectory(self, path: Path | None = None) -> Trajectory:
+        """`trajectory.txt`, or another file, relative to the world offset of the run. Raises DataError, RunError."""
+        x, y, z = self.load_manifest().world_offset_m
+        return Trajectory.load(path or self.trajectory_path).moved((-x, -y, -z))
 
     # --- stages ------------------------------------------------------------------------------------------------
     def is_current(self, stage: str, config_hash: str) -> bool:

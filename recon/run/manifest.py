@@ -11,6 +11,7 @@ from typing import Any
 from pydantic import BaseModel, ConfigDict
 
 from ..core.camera import Camera
+from ..core.world_offset import NO_OFFSET
 
 SCHEMA_VERSION = 2
 
@@ -55,6 +56,7 @@ class Manifest(BaseModel):
     registration_sigma_px: float = (
         0.0  # standard deviation of the offset between colour and depth, common to all frames
     )
+    world_offset_m: tuple[float, float, float] = NO_OFFSET  # origin of the run in the world of the data set
     skipped: dict[str, str] = {}  # "source index[/sensor]" -> reason
     stages: dict[str, StageRecord] = {}
     outdated: dict[str, str] = {}  # stage whose files are no longer those of the run -> reason

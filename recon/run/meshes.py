@@ -15,17 +15,17 @@ def load_run_mesh(run: RunDirectory) -> Mesh:
     run.require_current("mesh")
     if not run.mesh_path.is_file():
         raise RunError(f"{run.root} has no mesh; make it with `uncle mesh --run {run.root}`")
-    return Mesh.load(run.mesh_path)
+    return Mesh.load(run.mesh_path, offset_m=run.load_manifest().world_offset_m)
 
 
 def load_reference_mesh(run: RunDirectory) -> Mesh:
     """The ground-truth mesh of the data set. Raises DataError if there is none, or it is a point cloud."""
-    return Mesh.load(_reference_path(run))
+    return Mesh.load(_reference_path(run), offset_m=run.load_manifest().world_offset_m)
 
 
 def load_reference_surface(run: RunDirectory, on_event: OnEvent = ignore) -> Mesh | PointCloud:
     """The ground-truth mesh or point cloud of the data set. Raises DataError if there is none or the file is gone."""
-    return load_surface(_reference_path(run), on_event)
+    return load_surface(_reference_path(run), on_event, run.load_manifest().world_offset_m)
 
 
 def _reference_path(run: RunDirectory) -> Path:

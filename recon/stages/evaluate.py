@@ -25,7 +25,7 @@ from ..evaluation.visibility import Visibility
 from ..run.directory import RunDirectory
 from ..run.lock import reading, writing
 from ..run.manifest import config_hash
-from ..run.meshes import load_reference_surface
+from ..run.meshes import load_reference_surface, load_run_mesh
 from ..visualization.trajectory_charts import draw_camera_path
 from .base import StageSummary
 
@@ -70,7 +70,7 @@ def evaluate_run(
                 metrics = score_run(run, settings, on_event)
         if error_mesh is not None:
             mesh_metrics = metrics.surface.mesh if metrics.surface is not None else None
-            write_error_mesh(error_mesh, Mesh.load(run.mesh_path), load_reference_surface(run), mesh_metrics)
+            write_error_mesh(error_mesh, load_run_mesh(run), load_reference_surface(run), mesh_metrics)
         charts = plots or (run.snapshots_path if is_writable else None)
         if charts is not None and (metrics.trajectory is not None or metrics.tracking is not None):
             try:
@@ -105,7 +105,8 @@ def evaluate_mesh_file(
     """
     if error_mesh is not None:
         require_writable_suffix(error_mesh)
-    mesh, reference = Mesh.load(mesh_path, on_event), load_surface(reference_path, on_event)
+    mesh = Mesh.load(mesh_path, on_event, cull.load_manifest().world_offset_m if cull is not None else None)
+    reference = load_surface(reference_path, on_event, mesh.offset_m)
     visibility = Visibility.of_run(cull) if cull is not None else None
     metrics = score_surface(mesh, reference, settings, visibility)
     if error_mesh is not None:

@@ -91,7 +91,7 @@ def _map(
     facts |= result.facts
     run.begin_stage(STAGE)
     save_tensors(run.field_path, result.field.to_state())
-    _trajectory(frames, result.poses).save(run.trajectory_path)
+    _trajectory(frames, result.poses).moved(manifest.world_offset_m).save(run.trajectory_path)
     if result.tracking is not None:
         result.tracking.save(run.tracking_path)
         facts["tracking"] = result.tracking.counts()

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from ..core.events import Note, OnEvent, ignore
 from ..core.mesh_files.writer import require_writable_suffix
-from ..core.trajectory import Trajectory
 from ..methods.registry import method_specs
 from ..run.directory import RunDirectory
 from ..run.lock import writing_to
@@ -63,8 +62,9 @@ def _extract(
     if is_result and run.is_current(STAGE, digest) and path.exists() and not overwrite:
         return MeshSummary(path=path, unchanged=True)
     started = time.time()
-    poses = Trajectory.load(run.trajectory_path).T_world_camera
+    poses = run.load_trajectory().T_world_camera
     mesh = make_mesh(load_field(run), run.load_camera(), list(poses), voxel_size_m, clean, max_sigma_m, on_event)
+    mesh = replace(mesh, offset_m=run.load_manifest().world_offset_m)
     if is_result:
         run.begin_stage(STAGE)
     mesh.save(path)

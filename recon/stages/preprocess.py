@@ -7,7 +7,7 @@ import json
 import os
 import shutil
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -24,6 +24,7 @@ from ..core.far_frames import describe_far_frames, far_frames
 from ..core.files import explain_write_errors, write_text
 from ..core.frame import Recording
 from ..core.trajectory import Trajectory
+from ..core.world_offset import NO_OFFSET, Offset, describe_offset, world_offset
 from ..evaluation.inspection.correspondences import FrameInterval
 from ..evaluation.inspection.inspector import QUICK, THOROUGH, inspect_recording
 from ..run.directory import RunDirectory
@@ -91,6 +92,10 @@ def preprocess_run(  # noqa: PLR0913 (one argument for each option of the comman
         correction = _inspect(recording, indices, chosen, fix=fix, force=force, on_event=on_event)
         if correction is not None:
             recording = CorrectedRecording(recording, correction)
+        offset_m = _world_offset(recording, indices)
+        if offset_m != NO_OFFSET:
+            on_event(Note(describe_offset(offset_m)))
+            recording = CorrectedRecording(recording, Correction(offset_m=offset_m))
         converter = FrameConverter(recording, chosen, ".png" if lossless else ".jpg")
         with _staging(run) as staging:
             results = _convert_all(converter, staging, indices, on_event)
@@ -99,7 +104,7 @@ def preprocess_run(  # noqa: PLR0913 (one argument for each option of the comman
             _require_usable(records, results, chosen, dataset)
             rows = [record.model_dump(mode="json") for record in records]
             write_text(staging.frames_path, json.dumps(rows, indent=1))
-            manifest = _manifest(recording, dataset, chosen, results)
+            manifest = _manifest(recording, dataset, chosen, results, offset_m)
             if earlier is not None:
                 manifest.stages, manifest.outdated = earlier.stages, earlier.outdated
             _publish(run, staging, manifest, records)
@@ -157,11 +162,19 @@ def dataset_hash(dataset: Path, excluded: Path) -> str:
     return digest.hexdigest()
 
 
+_READ_BY_STAGES = {"camera", "has_timestamps", "registration_sigma_px", "world_offset_m"}
+
+
 def frames_digest(manifest: Manifest, records: Sequence[FrameRecord], results: Sequence[FrameResult]) -> str:
     """Digest of all that later stages read of the frames: images, poses, time stamps, camera."""
     images = [result.digest for result in results if result.record]
-    values = manifest.model_dump(mode="json", include={"camera", "has_timestamps", "registration_sigma_px"})
+    values = manifest.model_dump(mode="json", include=_READ_BY_STAGES)
     return config_hash(images, [record.model_dump(mode="json") for record in records], values)
+
+
+def _world_offset(recording: Recording, indices: Iterable[int]) -> Offset:
+    poses = [pose for index in indices if (pose := recording.pose(index)) is not None]
+    return world_offset(np.array(poses).reshape(-1, 4, 4)[:, :3, 3])
 
 
 def _chosen_sensors(recording: Recording, sensors: Sequence[str] | None) -> tuple[str, ...]:
@@ -287,7 +300,7 @@ def _require_usable(
 
 
 def _manifest(
-    recording: Recording, dataset: Path, sensors: tuple[str, ...], results: Sequence[FrameResult]
+    recording: Recording, dataset: Path, sensors: tuple[str, ...], results: Sequence[FrameResult], offset_m: Offset
 ) -> Manifest:
     return Manifest(
         dataset=str(dataset.resolve()),
@@ -298,6 +311,7 @@ def _manifest(
         has_timestamps=recording.has_timestamps,
         reference_mesh=str(recording.reference_mesh.resolve()) if recording.reference_mesh else None,
         registration_sigma_px=recording.registration_sigma_px,
+        world_offset_m=offset_m,
         skipped={key: reason for result in results for key, reason in result.skipped.items()},
     )
 
@@ -314,6 +328,7 @@ def _publish(run: RunDirectory, staging: RunDirectory, manifest: Manifest, recor
     posed = [record for record in records if record.T_world_camera is not None]
     if posed:
         poses = np.array([record.T_world_camera for record in posed])
-        Trajectory(np.array([record.timestamp for record in posed]), poses).save(run.reference_trajectory_path)
+        trajectory = Trajectory(np.array([record.timestamp for record in posed]), poses)
+        trajectory.moved(manifest.world_offset_m).save(run.reference_trajectory_path)
     else:
         run.reference_trajectory_path.unlink(missing_ok=True)

@@ -46,8 +46,9 @@ def snapshot_file(
 
     `reference` is the ground-truth mesh of the error picture. Raises DataError, RunError, DependencyError.
     """
-    truth = Mesh.load(reference) if reference is not None else None
-    return _draw(Mesh.load(path), out, run, truth, settings, on_event)
+    mesh = Mesh.load(path, offset_m=run.load_manifest().world_offset_m if run is not None else None)
+    truth = Mesh.load(reference, offset_m=mesh.offset_m) if reference is not None else None
+    return _draw(mesh, out, run, truth, settings, on_event)
 
 
 def snapshot_run(
@@ -66,7 +67,8 @@ def snapshot_run(
     with writing_to(run, out, STAGE, on_event):
         run.require_current("map")
         mesh = load_run_mesh(run)
-        truth = Mesh.load(reference) if reference is not None else _reference_of_data_set(run, on_event)
+        at = mesh.offset_m
+        truth = Mesh.load(reference, offset_m=at) if reference is not None else _reference_of_data_set(run, on_event)
         sheets = _draw(mesh, out, run, truth, settings, on_event)
         return sheets + ([] if settings.modes else draw_sensors(run, out, on_event))
 

@@ -14,7 +14,6 @@ from ..core.far_frames import MIN_GAP_M, far_frames
 from ..core.files import write_bytes, write_image
 from ..core.mesh import Mesh
 from ..core.mesh_raycaster import Surface
-from ..core.trajectory import Trajectory
 from ..run.directory import RunDirectory
 from ..run.frames import RunFrames
 from . import offscreen
@@ -161,7 +160,7 @@ def _without_far_frames(poses: np.ndarray, mesh: Mesh) -> tuple[np.ndarray, np.n
 def run_poses(run: RunDirectory) -> np.ndarray:
     """(N, 4, 4) finite poses of a run: the estimated ones, else those of the data set; N = 0 if there are none."""
     if run.trajectory_path.is_file():
-        return Trajectory.load(run.trajectory_path).finite().T_world_camera
+        return run.load_trajectory().finite().T_world_camera
     frames = RunFrames(run)
     poses = [pose for index in range(len(frames)) if (pose := frames.pose(index)) is not None]
     return np.array(poses, dtype=np.float64).reshape(-1, 4, 4)

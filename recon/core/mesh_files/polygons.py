@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from ..errors import DataError
+from ..world_offset import NO_OFFSET, Offset, world_offset
 
 MAX_ROUNDING_M = 0.001  # vertices are kept as float32; a coarser one is reported
 
@@ -36,18 +37,21 @@ class Polygons:
 
 @dataclass(frozen=True)
 class Triangles:
-    """vertices (V, 3) float32; faces (T, 3) int32, none for a point cloud; colors (V, 3) uint8 or None; sigma (V,)
-    float32 or None; notes: what was left out, one line each."""
+    """vertices (V, 3) float32 relative to offset_m; faces (T, 3) int32, none for a point cloud; colors (V, 3) uint8 or
+    None; sigma (V,) float32 or None; notes: what was left out, one line each."""
 
     vertices: np.ndarray
     faces: np.ndarray
     colors: np.ndarray | None
     sigma: np.ndarray | None
     notes: tuple[str, ...]
+    offset_m: Offset = NO_OFFSET
 
 
-def to_triangles(path: Path, polygons: Polygons) -> Triangles:
+def to_triangles(path: Path, polygons: Polygons, offset_m: Offset | None = None) -> Triangles:
     """Check the polygons of the file `path` and split them into triangles.
+
+    offset_m   subtracted from the vertices before they are rounded; None: the one of `world_offset`
 
     Vertices that no face uses, and faces with fewer than three different corners, are left out with a note. A file
     without faces is a point cloud; its points that are not finite are left out with a note. Raises DataError for an
@@ -77,6 +81,8 @@ def to_triangles(path: Path, polygons: Polygons) -> Triangles:
             raise DataError(f"{path} holds no triangles, and {what}: not a mesh, or an empty one")
         if not kept.all():
             notes.append(f"{int((~kept).sum())} of {len(vertices)} points are not finite and are left out")
+    offset_m = world_offset(vertices[kept]) if offset_m is None else offset_m
+    vertices = vertices - offset_m
     rounding = np.spacing(np.float32(np.abs(vertices[kept]).max())) / 2
     if rounding > MAX_ROUNDING_M:
         notes.append(
@@ -90,6 +96,7 @@ def to_triangles(path: Path, polygons: Polygons) -> Triangles:
         None if polygons.colors is None else polygons.colors[kept],
         None if polygons.sigma is None else polygons.sigma[kept],
         tuple(notes),
+        offset_m,
     )
 
 

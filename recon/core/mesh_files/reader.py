@@ -6,6 +6,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from ..errors import DataError
+from ..world_offset import Offset
 from .clouds import read_pcd, read_points
 from .gltf import read_gltf
 from .obj import read_obj
@@ -22,8 +23,11 @@ _PARSERS: dict[str, Callable[[Path, bytes], Polygons]] = {
 READABLE_SUFFIXES = tuple(_PARSERS)
 
 
-def read_triangles(path: Path) -> Triangles:
-    """The triangles of a mesh file, or the points of a cloud, checked. Raises DataError."""
+def read_triangles(path: Path, offset_m: Offset | None = None) -> Triangles:
+    """The triangles of a mesh file, or the points of a cloud, checked; `offset_m` as in `to_triangles`.
+
+    Raises DataError.
+    """
     parser = _PARSERS.get(path.suffix.lower())
     if not path.is_file():
         raise DataError(f"there is no mesh at {path}")
@@ -39,6 +43,6 @@ def read_triangles(path: Path) -> Triangles:
     if not data:
         raise DataError(f"{path} is an empty file")
     try:
-        return to_triangles(path, parser(path, data))
+        return to_triangles(path, parser(path, data), offset_m)
     except MemoryError as error:
         raise DataError(f"{path} does not fit into memory; give a smaller part of it") from error

@@ -12,6 +12,7 @@ import numpy as np
 
 from ..errors import RunError
 from ..files import write_bytes
+from ..world_offset import NO_OFFSET, Offset
 
 _Colors = np.ndarray | None
 
@@ -26,23 +27,36 @@ def require_writable_suffix(path: Path) -> None:
 
 
 def write_triangles(
-    path: Path, vertices: np.ndarray, faces: np.ndarray, colors: _Colors = None, sigma: np.ndarray | None = None
-) -> None:
+    path: Path, vertices: np.ndarray, faces: np.ndarray, colors: _Colors = None, sigma: np.ndarray | None = None,
+    offset_m: Offset = NO_OFFSET,
+) -> None:  # fmt: skip
     """Write vertices (V, 3), faces (F, 3), colors (V, 3) uint8 RGB and sigma (V,) in the format of the suffix.
 
-    Coordinates are not turned, also where a format has a convention for the axis that points up. Raises RunError.
+    Coordinates are not turned, also where a format has a convention for the axis that points up. With an offset, which
+    is added to the vertices, PLY holds double precision, OBJ and OFF more digits, and glTF the translation of a node.
+    Raises RunError.
     """
     require_writable_suffix(path)
     suffix = path.suffix.lower()
     vertices = np.asarray(vertices, dtype=np.float32)
+    if offset_m != NO_OFFSET and suffix not in (".gltf", ".glb"):
+        if suffix == ".stl":
+            raise RunError(
+                f"cannot write {path}: STL has no double precision, which coordinates this far from the origin need; "
+                "write PLY, OBJ or GLB"
+            )
+        vertices = vertices.astype(np.float64) + offset_m
     if suffix == ".ply":
         write_bytes(path, _ply(vertices, faces, colors, sigma))
+    elif suffix in (".gltf", ".glb"):
+        write_bytes(path, _GLTF[suffix](vertices, faces, colors, offset_m))
     else:
         write_bytes(path, _ENCODERS[suffix](vertices, faces, colors))
 
 
 def _ply(vertices: np.ndarray, faces: np.ndarray, colors: _Colors, sigma: np.ndarray | None) -> bytes:
-    fields = [("x", "<f4"), ("y", "<f4"), ("z", "<f4")]
+    kind = "<f8" if vertices.dtype == np.float64 else "<f4"
+    fields = [("x", kind), ("y", kind), ("z", kind)]
     if colors is not None:
         fields += [("red", "u1"), ("green", "u1"), ("blue", "u1")]
     if sigma is not None:
@@ -61,7 +75,7 @@ def _ply(vertices: np.ndarray, faces: np.ndarray, colors: _Colors, sigma: np.nda
 
 
 def _ply_header(fields: list[tuple[str, str]], vertices: int, faces: int) -> str:
-    names = {"<f4": "float", "u1": "uchar"}
+    names = {"<f4": "float", "<f8": "double", "u1": "uchar"}
     lines = [
         "ply",
         "format binary_little_endian 1.0",
@@ -74,12 +88,18 @@ def _ply_header(fields: list[tuple[str, str]], vertices: int, faces: int) -> str
 
 
 def _obj(vertices: np.ndarray, faces: np.ndarray, colors: _Colors) -> bytes:
-    rows = [f"v {x:.9g} {y:.9g} {z:.9g}" for x, y, z in vertices.tolist()]
+    rows = [f"v {row}" for row in _as_text(vertices)]
     if colors is not None:
         tints = [f" {r:.6g} {g:.6g} {b:.6g}" for r, g, b in (colors / 255).tolist()]
         rows = [row + tint for row, tint in zip(rows, tints, strict=True)]
     rows += [f"f {a} {b} {c}" for a, b, c in (faces + 1).tolist()]
     return ("\n".join(rows) + "\n").encode()
+
+
+def _as_text(vertices: np.ndarray) -> list[str]:
+    """A line for each vertex, with all digits of its precision."""
+    digits = 17 if vertices.dtype == np.float64 else 9
+    return [f"{x:.{digits}g} {y:.{digits}g} {z:.{digits}g}" for x, y, z in vertices.tolist()]
 
 
 def _stl(vertices: np.ndarray, faces: np.ndarray, _: _Colors) -> bytes:
@@ -93,7 +113,7 @@ def _stl(vertices: np.ndarray, faces: np.ndarray, _: _Colors) -> bytes:
 
 
 def _off(vertices: np.ndarray, faces: np.ndarray, colors: _Colors) -> bytes:
-    rows = [f"{x:.9g} {y:.9g} {z:.9g}" for x, y, z in vertices.tolist()]
+    rows = _as_text(vertices)
     if colors is not None:
         rows = [f"{row} {r} {g} {b} 255" for row, (r, g, b) in zip(rows, colors.tolist(), strict=True)]
     rows += [f"3 {a} {b} {c}" for a, b, c in faces.tolist()]
@@ -101,8 +121,11 @@ def _off(vertices: np.ndarray, faces: np.ndarray, colors: _Colors) -> bytes:
     return "\n".join([magic, f"{len(vertices)} {len(faces)} 0", *rows, ""]).encode()
 
 
-def _gltf_document(vertices: np.ndarray, faces: np.ndarray, colors: _Colors) -> tuple[dict[str, object], bytes]:
+def _gltf_document(
+    vertices: np.ndarray, faces: np.ndarray, colors: _Colors, offset_m: Offset
+) -> tuple[dict[str, object], bytes]:
     """The JSON of a scene of one mesh, without the place of its buffer, and the buffer."""
+    node: dict[str, object] = {"mesh": 0} | ({} if offset_m == NO_OFFSET else {"translation": list(offset_m)})
     blocks = [vertices.tobytes(), faces.astype("<u4").tobytes()]
     accessors: list[dict[str, object]] = [
         {"bufferView": 0, "componentType": 5126, "count": len(vertices), "type": "VEC3"},
@@ -126,7 +149,7 @@ def _gltf_document(vertices: np.ndarray, faces: np.ndarray, colors: _Colors) -> 
         "asset": {"version": "2.0", "generator": "uncle"},
         "scene": 0,
         "scenes": [{"nodes": [0]}],
-        "nodes": [{"mesh": 0}],
+        "nodes": [node],
         "meshes": [{"primitives": [{"attributes": attributes, "indices": 1}]}],
         "accessors": accessors,
         "bufferViews": views,
@@ -134,14 +157,14 @@ def _gltf_document(vertices: np.ndarray, faces: np.ndarray, colors: _Colors) -> 
     return tree, b"".join(blocks)
 
 
-def _gltf(vertices: np.ndarray, faces: np.ndarray, colors: _Colors) -> bytes:
-    tree, buffer = _gltf_document(vertices, faces, colors)
+def _gltf(vertices: np.ndarray, faces: np.ndarray, colors: _Colors, offset_m: Offset) -> bytes:
+    tree, buffer = _gltf_document(vertices, faces, colors, offset_m)
     uri = "data:application/octet-stream;base64," + base64.b64encode(buffer).decode()
     return json.dumps(tree | {"buffers": [{"byteLength": len(buffer), "uri": uri}]}).encode()
 
 
-def _glb(vertices: np.ndarray, faces: np.ndarray, colors: _Colors) -> bytes:
-    tree, buffer = _gltf_document(vertices, faces, colors)
+def _glb(vertices: np.ndarray, faces: np.ndarray, colors: _Colors, offset_m: Offset) -> bytes:
+    tree, buffer = _gltf_document(vertices, faces, colors, offset_m)
     text = json.dumps(tree | {"buffers": [{"byteLength": len(buffer)}]}).encode()
     chunks = [(text + b" " * (-len(text) % 4), b"JSON"), (buffer + b"\0" * (-len(buffer) % 4), b"BIN\0")]
     body = b"".join(struct.pack("<I4s", len(chunk), kind) + chunk for chunk, kind in chunks)
@@ -149,6 +172,7 @@ def _glb(vertices: np.ndarray, faces: np.ndarray, colors: _Colors) -> bytes:
 
 
 _ENCODERS: dict[str, Callable[[np.ndarray, np.ndarray, _Colors], bytes]] = {
-    ".obj": _obj, ".stl": _stl, ".off": _off, ".gltf": _gltf, ".glb": _glb,
+    ".obj": _obj, ".stl": _stl, ".off": _off,
 }  # fmt: skip
-WRITABLE_SUFFIXES = (".ply", *_ENCODERS)
+_GLTF = {".gltf": _gltf, ".glb": _glb}
+WRITABLE_SUFFIXES = (".ply", *_ENCODERS, *_GLTF)

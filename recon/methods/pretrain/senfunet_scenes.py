@@ -16,6 +16,7 @@ from ...core.errors import ConfigError, DataError
 from ...core.events import OnEvent, ignore, track_progress
 from ...core.files import DEPTH_UNITS_PER_M, atomic_path, encode_metres
 from ...core.mesh import Mesh
+from ...core.world_offset import NO_OFFSET
 from .depth_pairs import TRUTH, load_arrays, packed, spread, unpacked
 from .true_distance import TrueDistance
 
@@ -119,4 +120,4 @@ def _reference_mesh(name: str, source: Any) -> Mesh:
         raise DataError(
             f"{name} has no reference mesh, and the true distances are measured to one; `uncle synth` makes one"
         )
-    return Mesh.load(Path(path))
+    return Mesh.load(Path(path), offset_m=NO_OFFSET)

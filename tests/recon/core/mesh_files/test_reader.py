@@ -13,12 +13,12 @@ def test_other_formats_are_named(read, name):
 
 
 def test_coordinates_that_float32_cannot_hold_are_named(read):
-    """Metres of a national grid."""
-    text = "".join(f"v {x + 500_000} {y + 5_400_000} {z}\n" for x, y, z in CORNERS)
+    """Places so far apart that no offset brings all of them near the origin."""
+    text = "".join(f"v {x + 500_000 * z} {y + 10_800_000 * z} {z}\n" for x, y, z in CORNERS)
     text += "".join(f"f {a + 1} {b + 1} {c + 1}\n" for a, b, c in TRIANGLES)
-    notes = read("utm.obj", text).notes
+    notes = read("wide.obj", text).notes
     assert len(notes) == 1
-    assert "are rounded by up to 250 mm" in notes[0]
+    assert "are rounded by up to 500 mm" in notes[0]
 
 
 @pytest.mark.parametrize("suffix", [".ply", ".obj", ".stl", ".off", ".gltf", ".glb"])
