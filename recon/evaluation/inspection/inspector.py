@@ -17,27 +17,26 @@ from .findings import Finding, Verdict, worst
 from .geometry import MIN_EVIDENCE, Geometry, explain, geometry_findings
 from .hypotheses import Evidence
 from .images import image_facts, image_findings, repeated_images, time_stamps
-from .registration import FRAMES, Registration, measure_registration
+from .registration import FRAMES, SCALES, Registration, measure_registration
 
-EVIDENCE = 4000  # matches that take part, at most
 SURE_HEIGHT, SURE_GAIN = 6.3, 3.0  # of a displacement of colour, in standard deviations
 FEW_MATCHES = 40  # between neighbouring frames, below which tracking may fail
 WRONG_PX, DOUBT_PX = 4.0, 3.0
-CONTRADICTED = "outlines fit colour best at another scale, but points seen in two frames show that the intrinsics fit"
 
 
 @dataclass(frozen=True)
 class Effort:
-    """How much of a recording is read: frames from which pairs start, gaps to their partners, and frames whose images
-    are checked one by one."""
+    """How much of a recording is read: frames from which pairs start, gaps to their partners, frames whose images are
+    checked one by one, and matches of a sensor that take part at most."""
 
     anchors: int
     gaps: tuple[int, ...]
     images: int
+    matches: int
 
 
-THOROUGH = Effort(anchors=20, gaps=GAPS, images=FRAMES)
-QUICK = Effort(anchors=8, gaps=(1, 8), images=10)
+THOROUGH = Effort(anchors=20, gaps=GAPS, images=FRAMES, matches=4000)
+QUICK = Effort(anchors=8, gaps=(1, 8), images=10, matches=1500)
 
 
 @dataclass(frozen=True)
@@ -88,7 +87,7 @@ def inspect_recording(
     report(0)
     matches = find_matches(frames, pairs)
     report(1)
-    registration = _best_registration(frames, chosen, spread)
+    registration = _best_registration(frames, chosen, spread, (1.0,))
     registered = _registration_finding(registration)
     moved = registered.correction if registered.verdict is Verdict.WRONG else None
     if moved is not None:  # geometry is judged with colour where it belongs
@@ -98,13 +97,13 @@ def inspect_recording(
         )
     report(2)
     facts = {sensor: depth_facts(frames, sensor, spread) for sensor in chosen}
-    evidence = _evidence_by_sensor(frames, matches, chosen)
+    evidence = _evidence_by_sensor(frames, matches, chosen, effort.matches)
     geometry, noise = _judge(frames, evidence, has_timestamps, registration is not None and _is_sure(registration))
-    if registered.verdict is Verdict.WRONG and moved is None:  # by a scale: colour would be of other focal lengths
-        if all(finding.verdict is Verdict.OK for finding in geometry):
-            registered = replace(registered, verdict=Verdict.UNKNOWN, value=None, unit="", text=CONTRADICTED)
-        else:  # geometry was judged with colour that is not where depth is
-            geometry, noise = [], {}
+    if any(finding.verdict is not Verdict.OK for finding in geometry):
+        scaled = _best_registration(frames, chosen, spread, SCALES)
+        if scaled is not None and scaled.scale != 1.0 and _is_sure(scaled):
+            registered = _registration_finding(scaled)
+            geometry, noise = [], {}  # they were judged with colour that is not where depth is
     report(3)
     is_known = registered.verdict is not Verdict.UNKNOWN
     findings = [registered, *geometry] if is_known else [*geometry, registered]
@@ -121,7 +120,9 @@ def inspect_recording(
     return Inspection(tuple(findings), tuple(quality))
 
 
-def _evidence_by_sensor(frames: InspectedFrames, matches: Matches, sensors: Sequence[str]) -> dict[str, Evidence]:
+def _evidence_by_sensor(
+    frames: InspectedFrames, matches: Matches, sensors: Sequence[str], most: int
+) -> dict[str, Evidence]:
     poses = stated_poses(frames)
     has_pose = np.isfinite(poses).all((1, 2))
     result = {}
@@ -138,7 +139,7 @@ def _evidence_by_sensor(frames: InspectedFrames, matches: Matches, sensors: Sequ
             second[here] = depth_at(depth, matches.pixels_second[here])
         known = (first > 0) & (second > 0) & has_pose[matches.first] & has_pose[matches.second]
         evidence = Evidence(frames.camera, poses, matches.chosen(known), first[known], second[known])
-        result[sensor] = evidence.thinned(EVIDENCE)
+        result[sensor] = evidence.thinned(most)
     return result
 
 
@@ -193,9 +194,11 @@ def _frame_s(frames: InspectedFrames, has_timestamps: bool) -> float | None:
     return float(np.median(np.diff([frames.timestamp(index) for index in range(len(frames))])))
 
 
-def _best_registration(frames: InspectedFrames, sensors: Sequence[str], indices: Sequence[int]) -> Registration | None:
+def _best_registration(
+    frames: InspectedFrames, sensors: Sequence[str], indices: Sequence[int], scales: Sequence[float]
+) -> Registration | None:
     """Of the sensor whose outlines show it best; all sensors share one camera."""
-    measured = measure_registration(frames, sensors, indices)
+    measured = measure_registration(frames, sensors, indices, scales)
     return max(measured.values(), key=lambda one: one.height, default=None)
 
 

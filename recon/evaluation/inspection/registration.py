@@ -45,24 +45,27 @@ class Registration:
 class _Agreement:
     """Agreement of colour with the outlines of one sensor, for every scale and displacement, summed over images."""
 
-    def __init__(self) -> None:
+    def __init__(self, scales: Sequence[float]) -> None:
         side = 2 * REACH_PX + 1
-        self.total = {scale: np.zeros((side, side)) for scale in SCALES}
+        self.total = {scale: np.zeros((side, side)) for scale in scales}
         self.outline = 0
 
     def add(self, depth: np.ndarray, spectra: Sequence[np.ndarray]) -> None:
         """Add a depth image (H, W), metres, and the spectra of the gradients of its colour."""
         edges = depth_outlines(depth)
         self.outline += int((edges[0] != 0).sum() + (edges[1] != 0).sum())
-        for scale in SCALES:
+        for scale in self.total:
             self.total[scale] += _correlation(_scaled(edges, scale), spectra, depth.shape)
 
 
 def measure_registration(
-    frames: InspectedFrames, sensors: Sequence[str], indices: Sequence[int]
+    frames: InspectedFrames, sensors: Sequence[str], indices: Sequence[int], scales: Sequence[float] = SCALES
 ) -> dict[str, Registration]:
-    """Displacement of colour against the outlines in the depth of each sensor that shows enough of them."""
-    agreements = {sensor: _Agreement() for sensor in sensors}
+    """Displacement of colour against the outlines in the depth of each sensor that shows enough of them.
+
+    `scales` of colour relative to depth are tried; 1 must be among them.
+    """
+    agreements = {sensor: _Agreement(scales) for sensor in sensors}
     for index in indices:
         try:
             spectra = [np.fft.rfft2(part) for part in _color_gradients(frames.color(index).numpy())]
