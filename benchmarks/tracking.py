@@ -12,7 +12,10 @@ from functools import partial
 from pathlib import Path
 from typing import NamedTuple
 
+import numpy as np
 from common import carry_out
+from scipy.spatial.transform import Rotation
+from uncle.datasets.seven_scenes import T_COLOR_DEPTH
 from uncle.recon.core.errors import DataError, RunError, UncleError
 from uncle.recon.core.trajectory import Trajectory
 from uncle.recon.evaluation.bench.process import (
@@ -41,6 +44,7 @@ DEGREES = 180 / 3.141592653589793
 # heading, key in the record, factor, digits, whether minimum and maximum are shown
 COLUMNS = (
     ("ATE as it is cm", "ate_m", 100, 2, True), ("ATE aligned cm", "ate_aligned_m", 100, 2, True),
+    ("ATE to SfM cm", "ate_sfm_m", 100, 2, True),
     ("RPE cm", "rpe_translation_m", 100, 2, False), ("RPE deg", "rpe_rotation_rad", DEGREES, 2, False),
     ("largest step error cm", "rpe_max_m", 100, 2, False), ("frames with a pose %", "posed", 100, 1, False),
     ("tracked", "tracked", 1, 0, False), ("weak", "weak", 1, 0, False), ("lost", "lost", 1, 0, True),
@@ -82,14 +86,16 @@ def plan(
 
 
 # --- one pass --------------------------------------------------------------------------------------------------------
-def execute(job: Job, base: Path, run: Path, with_mesh: bool) -> Record:
+def execute(job: Job, base: Path, run: Path, with_mesh: bool, sfm_poses: Path | None) -> Record:
     """One pass in the new run directory `run`, which borrows the frames of `base`. Raises RunError."""
     new_run(base, run)
     costs = _open3d(job, run, with_mesh) if job.system.startswith("open3d") else _uncle(job, run, with_mesh)
     frames = len(json.loads((run / "frames" / "frames.json").read_text()))
     costs |= {"frames_per_s": frames / costs["wall_s"], "loop_frames_per_s": frames / sum(costs["seconds"].values())}
-    surface = _surface(run) if with_mesh else {}
-    return job._asdict() | costs | {"frame_count": frames, "with_mesh": with_mesh} | errors(run, frames) | surface
+    scores = errors(run, frames) | (_surface(run) if with_mesh else {})
+    if sfm_poses is not None and scores["posed"]:
+        scores["ate_sfm_m"] = error_to_sfm(Trajectory.load(run / "trajectory.txt"), sfm_poses)
+    return job._asdict() | costs | {"frame_count": frames, "with_mesh": with_mesh} | scores
 
 
 def _uncle(job: Job, run: Path, with_mesh: bool) -> Record:
@@ -132,6 +138,23 @@ def errors(run: Path, frames: int) -> Record:
         found |= {status: states.count(status) for status in ("weak", "lost")}
         found["tracked"] = states.count("tracked") + states.count("relocalised")
     return found
+
+
+def error_to_sfm(estimate: Trajectory, path: Path) -> float:
+    """ATE, aligned, in metres, of the colour camera of 7-Scenes against structure from motion of its images.
+
+    estimate  depth camera; time stamps are frame numbers
+    path      a line for each colour image: frame, qw qx qy qz tx ty tz (camera from world, as COLMAP writes it), ...
+
+    Raises DataError if no frame is in both.
+    """
+    table = np.loadtxt(path, ndmin=2)
+    T_camera_world = np.tile(np.eye(4), (len(table), 1, 1))
+    T_camera_world[:, :3, :3] = Rotation.from_quat(table[:, [2, 3, 4, 1]]).as_matrix()
+    T_camera_world[:, :3, 3] = table[:, 5:8]
+    truth = Trajectory(table[:, 0], np.linalg.inv(T_camera_world))
+    color = Trajectory(estimate.timestamps, estimate.T_world_camera @ np.linalg.inv(T_COLOR_DEPTH))
+    return evaluate_trajectory(color, truth).ate_aligned_m.rmse
 
 
 def _surface(run: Path) -> Record:
@@ -200,6 +223,7 @@ def parse(arguments: list[str] | None = None) -> argparse.Namespace:
     parser.add_argument("--frames", default="", metavar="START:STOP", help="part of the sequence; all if not given")
     parser.add_argument("--open3d-voxel", nargs="+", type=float, default=[0.01], metavar="METRES", help="[0.01]")
     parser.add_argument("--mesh", action="store_true", help="score the meshes, too")
+    parser.add_argument("--sfm-poses", type=Path, metavar="FILE", help="7-Scenes: poses of the colour images")
     parser.add_argument("--out", type=Path, default=Path("bench-out"), help="results and run directories [bench-out]")
     return parser.parse_args(arguments)
 
@@ -213,8 +237,8 @@ def main() -> int:
     if options.mesh and json.loads((base / "manifest.json").read_text())["reference_mesh"] is None:
         raise RunError(f"{options.dataset} has no true mesh; leave --mesh out")
     jobs = plan(name, options.frames, options.sensors, options.systems, options.open3d_voxel, options.seeds)
-    once = partial(execute, base=base, run=place / "work", with_mesh=options.mesh)
-    is_done = partial(_is_done, with_mesh=options.mesh)
+    once = partial(execute, base=base, run=place / "work", with_mesh=options.mesh, sfm_poses=options.sfm_poses)
+    is_done = partial(_is_done, with_mesh=options.mesh, with_sfm=options.sfm_poses is not None)
     records, failed = carry_out(jobs, options.out / "tracking_results.json", once, is_done)
     print(markdown(r for r in records.values() if (r["dataset"], r["frames"]) == (name, options.frames)))
     for key, reason in failed.items():
@@ -222,8 +246,8 @@ def main() -> int:
     return 1 if failed else 0
 
 
-def _is_done(_: Job, record: Record, with_mesh: bool) -> bool:
-    return record["with_mesh"] or not with_mesh
+def _is_done(_: Job, record: Record, with_mesh: bool, with_sfm: bool) -> bool:
+    return (record["with_mesh"] or not with_mesh) and ("ate_sfm_m" in record or not with_sfm or not record["posed"])
 
 
 if __name__ == "__main__":

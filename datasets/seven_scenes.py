@@ -28,7 +28,6 @@ KINECT = Calibration(
     Camera(640, 480, 585.0, 585.0, 320.0, 240.0),
     color_camera=Camera(640, 480, 527.0, 527.0, 320.0, 240.0),
     T_color_depth=T_COLOR_DEPTH,
-    registration_sigma_px=3.0,  # between the Kinects that the scenes were taken with: one calibration serves all
 )
 MARKER = "frame-*.color.*"
 

@@ -8,7 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from uncle.datasets import senfunet
+from scipy.spatial.transform import Rotation
+from uncle.datasets import senfunet, seven_scenes
 from uncle.datasets.synth.write import SynthOptions, make_dataset
 from uncle.recon.core.errors import RunError
 from uncle.recon.core.frame import Frame
@@ -111,6 +112,23 @@ def test_errors_are_those_of_the_frames_that_have_a_pose(tmp_path):
     assert found.pop("posed") == 0.8
     assert all(abs(value) < 1e-6 for value in found.values())
     assert set(found) == {"ate_aligned_m", "rpe_translation_m", "rpe_rotation_rad", "rpe_max_m"}
+
+
+def test_colour_camera_of_7_scenes_is_compared_with_structure_from_motion(tmp_path):
+    rng = np.random.default_rng(0)
+    depth_camera = np.tile(np.eye(4), (9, 1, 1))
+    depth_camera[:, :3, :3] = Rotation.from_rotvec(rng.normal(0, 0.5, (9, 3))).as_matrix()
+    depth_camera[:, :3, 3] = rng.normal(0, 1, (9, 3))
+    color_camera = depth_camera @ np.linalg.inv(seven_scenes.T_COLOR_DEPTH)
+    world = np.eye(4)  # that of structure from motion is another one
+    world[:3, :3], world[:3, 3] = Rotation.from_rotvec([0.3, -0.2, 1.0]).as_matrix(), [3.0, 1.0, -2.0]
+    camera_world = np.linalg.inv(world @ color_camera)
+    x, y, z, w = Rotation.from_matrix(camera_world[:, :3, :3]).as_quat().T
+    np.savetxt(tmp_path / "sfm.txt", np.column_stack([np.arange(9), w, x, y, z, camera_world[:, :3, 3], [525.5] * 9]))
+    estimate = Trajectory(np.arange(1.0, 8.0), depth_camera[1:8])
+    assert tracking.error_to_sfm(estimate, tmp_path / "sfm.txt") < 1e-9
+    estimate.T_world_camera[3, 0, 3] += 0.07
+    assert 0.01 < tracking.error_to_sfm(estimate, tmp_path / "sfm.txt") < 0.07 / 7**0.5  # the alignment takes a part
 
 
 def test_worst_is_the_largest_over_the_median():

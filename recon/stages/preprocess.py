@@ -11,6 +11,7 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import TypeVar
 
@@ -26,6 +27,7 @@ from ..core.frame import Recording
 from ..core.trajectory import Trajectory
 from ..core.world_offset import NO_OFFSET, Offset, describe_offset, world_offset
 from ..evaluation.inspection.correspondences import FrameInterval
+from ..evaluation.inspection.findings import Verdict, worst
 from ..evaluation.inspection.inspector import QUICK, THOROUGH, inspect_recording
 from ..run.directory import RunDirectory
 from ..run.lock import writing
@@ -126,15 +128,26 @@ def preprocess_run(  # noqa: PLR0913 (one argument for each option of the comman
 def _inspect(
     recording: Recording, indices: range, sensors: Sequence[str], *, fix: bool, force: bool, on_event: OnEvent
 ) -> Correction | None:
-    """Inspect the frames from the first to the last of `indices`, and decide what follows. Raises DataError."""
-    inspection = inspect_recording(
-        FrameInterval(recording, min(indices), max(indices) + 1),
+    """Inspect the frames from the first to the last of `indices`, and decide what follows. Raises DataError.
+
+    A quick inspection of some frames is enough to go on, but not to stop: what it finds wrong is looked for once more,
+    thoroughly and in the whole recording. (Steady motion in a short part resembles a lag of the poses, for example.)
+    """
+    inspect = partial(
+        inspect_recording,
         has_timestamps=recording.has_timestamps,
         max_depth_m=MAX_DEPTH_M,
         sensors=sensors,
-        effort=THOROUGH if fix else QUICK,
         on_event=on_event,
     )
+    part = FrameInterval(recording, min(indices), max(indices) + 1)
+    inspection = inspect(part, effort=THOROUGH if fix else QUICK)
+    is_final = force or (fix and len(part) == len(recording))
+    if not is_final and (found := worst(inspection.fit)) is not None and found.verdict is Verdict.WRONG:
+        on_event(Note(f"{found.check} may be wrong; inspecting the whole recording"))
+        inspection = inspect(recording, effort=THOROUGH)
+        if not any(finding.verdict is Verdict.WRONG for finding in inspection.fit):
+            on_event(Warn(f"{found.check}: {found.text}; the whole recording does not show it, so it is left as it is"))
     return require_fitting(inspection, fix=fix, force=force, on_event=on_event)
 
 

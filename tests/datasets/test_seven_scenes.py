@@ -103,7 +103,7 @@ def _cloud(recording, index: int) -> np.ndarray:
 def test_colour_is_registered_unless_a_camera_file_says_otherwise(sequence):
     default = open_dataset(sequence)
     assert any("registered to depth by a typical calibration" in note for note in default.notes)
-    assert default.registration_sigma_px == 3.0
+    assert default.registration_sigma_px == 0.0
     camera = '{"width": 640, "height": 480, "fx": 585, "fy": 585, "cx": 320, "cy": 240'
     (sequence / "camera.json").write_text(camera + ', "registration_sigma_px": 0.7}')
     assert open_dataset(sequence).registration_sigma_px == 0.7

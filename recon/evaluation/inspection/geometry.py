@@ -18,7 +18,7 @@ from .hypotheses import Evidence, Fit, fit, hypotheses, polish
 MIN_EVIDENCE = 150  # matches with depth in both frames
 MIN_GAIN = 0.03  # of the cost, below which a hypothesis explains nothing
 DOUBT_RATIO, WRONG_RATIO = 0.85, 0.75  # cost with the hypothesis by the cost as stated
-WRONG_GAIN = 0.06
+WRONG_GAIN = 0.08  # below it, the error does little harm, or the frames are too few to be sure of it
 PARAMETER_PRICE = 0.005  # of the cost, for each free parameter
 UNEXPLAINED = 0.5  # a cost as stated above which the poses do not fit the images, whatever the reason
 POLISHED_FITS = 3

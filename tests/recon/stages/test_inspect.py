@@ -9,6 +9,7 @@ from uncle.recon.core.errors import ConfigError, DataError
 from uncle.recon.core.events import Note, Warn
 from uncle.recon.run.directory import RunDirectory
 from uncle.recon.run.frames import RunFrames
+from uncle.recon.stages import preprocess as stage
 from uncle.recon.stages.inspect import inspect_dataset, inspect_run
 from uncle.recon.stages.preprocess import preprocess_run
 
@@ -60,6 +61,24 @@ def test_what_cannot_be_mended_stops_in_spite_of_fix(box_recording, preprocess):
 
     with pytest.raises(DataError, match="pose convention"):
         preprocess(Shuffled(box_recording, Correction()), fix=True)
+
+
+def test_a_part_alone_does_not_stop_preprocess(box_recording, preprocess, run, monkeypatch):
+    """Errors that a quick look at a few frames suggests, and the whole recording denies, are told as a doubt."""
+    inspect = stage.inspect_recording
+
+    def doubtful(frames, **options):
+        is_part = len(frames) < len(box_recording)
+        wrong = CorrectedRecording(box_recording, Correction(depth_factor=5.0))
+        return inspect(wrong if is_part else frames, **options)
+
+    monkeypatch.setattr(stage, "inspect_recording", doubtful)
+    for options in ({}, {"fix": True}):
+        events = []
+        preprocess(box_recording, frames=slice(0, 10), overwrite=True, on_event=events.append, **options)
+        told = [event.text for event in events if isinstance(event, Warn)]
+        assert any("5 times too large" in text and "whole recording does not show it" in text for text in told)
+    assert run.load_manifest().stages["preprocess"].facts["correction"] == {}
 
 
 def test_frames_that_are_left_out_are_not_inspected(box_recording, preprocess):
