@@ -11,8 +11,8 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_valida
 
 from ..recon.core.camera import Camera
 from ..recon.core.errors import DataError
+from ..recon.core.pose import usable_pose
 from ..recon.core.text import read_text
-from .poses import usable_pose
 
 CAMERA_FILE = "camera.json"
 MIN_DEPTH_SCALE = 0.5  # depth in metres as floats has 1; less is metres a unit

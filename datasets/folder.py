@@ -9,6 +9,7 @@ import numpy as np
 
 from ..recon.core.camera import Camera
 from ..recon.core.errors import DataError
+from ..recon.core.mesh_files.reader import READABLE_SUFFIXES
 from ..recon.core.text import read_table
 from ..recon.core.time_stamps import SECONDS, unit_of
 from .calibration import CAMERA_FILE, Calibration, CameraFile
@@ -21,7 +22,11 @@ from .recording import FileRecording, frame_entries
 
 TIMESTAMPS_FILE = "timestamps.txt"
 COLOR_FOLDERS = ("color", "rgb", "colour", "images")
-POSE_TABLES = ("poses.txt", "poses.csv", "trajectory.txt", "trajectory.log", "traj.txt", "groundtruth.txt")
+POSE_TABLES = tuple(
+    f"{stem}{suffix}"
+    for stem in ("poses", "trajectory", "traj", "groundtruth")
+    for suffix in (".txt", ".csv", ".tum", ".log", ".kitti", ".g2o")
+)
 POSE_FOLDERS = ("poses", "pose")
 OTHER_LAYOUTS = ("rgb.txt", "depth.txt", "associations.txt", "intrinsic", "frames")
 
@@ -65,7 +70,7 @@ def read(path: Path) -> FileRecording:
         tuple(sensors),
         calibration,
         notes=(*notes, *stamp_notes, *poses.notes),
-        reference_mesh=first_file([path / "mesh_gt.ply"]),
+        reference_mesh=first_file(path / f"mesh_gt{suffix}" for suffix in READABLE_SUFFIXES),
     )
 
 
@@ -144,8 +149,11 @@ def _of_images(file: Path, names: Sequence[str], values: np.ndarray, stems: Sequ
 
 def _read_poses(path: Path, stems: Sequence[str], stamps: np.ndarray | None) -> FramePoses:
     """T_world_camera of each frame, OpenCV axes: from a file of all poses, else from a folder with a file for each."""
-    file = first_file(path / name for name in POSE_TABLES)
-    if file is not None:
-        return poses_of_table(file, stems, stamps)
+    files = [path / name for name in POSE_TABLES if (path / name).is_file()]
+    if files:
+        found = poses_of_table(files[0], stems, stamps)
+        others = ", ".join(file.name for file in files[1:])
+        note = (f"poses are those of {files[0].name}; {others} is not read",) if others else ()
+        return FramePoses(found.poses, (*note, *found.notes))
     folders = [path / name for name in POSE_FOLDERS]
     return poses_of_files(next((folder for folder in folders if folder.is_dir()), folders[0]), stems)

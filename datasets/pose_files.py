@@ -1,4 +1,4 @@
-"""Files of camera poses as tools write them: a matrix each, or a table of them with time stamps, numbers or names."""
+"""The poses of the frames of a recording, from files with one each or from a table (recon/core/pose_tables.py)."""
 
 from __future__ import annotations
 
@@ -9,33 +9,17 @@ from pathlib import Path
 import numpy as np
 
 from ..recon.core.errors import DataError
-from ..recon.core.text import NumberTable, read_table
+from ..recon.core.pose import NO_POSE, Pose, usable_pose
+from ..recon.core.pose_tables import PoseTable, poses_from_vectors, read_pose_table
+from ..recon.core.text import read_table
 from ..recon.core.time_stamps import SECONDS, common_units, explain_mismatch, unit_of
 from ..recon.core.trajectory import Trajectory
 from .images import list_files
 from .names import match_names, numbers_of_names
-from .poses import MAX_POSE_GAP_S, NO_POSE, NORM_TOLERANCE, Pose, interpolate_poses, pose_from_vectors, usable_pose
+from .poses import MAX_POSE_GAP_S, interpolate_poses
 
 POSE_SUFFIXES = (".txt", ".csv", ".dat", ".pose")
 _MATRIX = "a 4x4 or 3x4 matrix, or `tx ty tz qx qy qz qw`"
-_TABLE = "`timestamp tx ty tz qx qy qz qw`, or a matrix of 12 or 16 numbers"
-_LABELLED, _UNLABELLED = (8, 13, 17), (7, 12, 16)  # numbers in a line with and without time stamp or frame number
-
-
-@dataclass(frozen=True)
-class PoseTable:
-    """Poses of one file in its order.
-
-    labels   (N,) time stamps or frame numbers as in the file; None if it has none
-    names    N names, of images for example; empty if it has none
-    notes    what was assumed to read it
-    """
-
-    path: Path
-    poses: tuple[Pose, ...]
-    labels: np.ndarray | None = None
-    names: tuple[str, ...] = ()
-    notes: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -51,7 +35,7 @@ def read_pose(path: Path) -> Pose:
     try:
         table = read_table(path, _is_one_pose, _MATRIX)
         values = np.concatenate([np.array(row) for row in table.rows])
-        pose = usable_pose(values.reshape(-1, 4)) if values.size != 7 else _vectors(table, values[None])[0][0]
+        pose = usable_pose(values.reshape(-1, 4)) if values.size != 7 else poses_from_vectors(path, values[None])[0][0]
     except DataError as error:
         return Pose(None, str(error))
     return pose.located(str(path))
@@ -89,99 +73,6 @@ def poses_of_files(
 
 def _converted(pose: Pose, convert: Callable[[np.ndarray], np.ndarray]) -> Pose:
     return pose if pose.T_world_camera is None else Pose(convert(pose.T_world_camera), pose.remark)
-
-
-def read_pose_table(path: Path) -> PoseTable:
-    """The poses of a text file: TUM text, a matrix a line, or blocks of lines (`trajectory.log` of Open3D).
-
-    Raises DataError if it is nothing of that kind.
-    """
-    table = read_table(path, _is_pose_table, _TABLE)
-    widths = [len(row) for row in table.rows]
-    if len(set(widths)) > 1 or widths[0] in (3, 4):
-        return _blocks(table, 4 if widths[0] == 4 else 5)
-    values = np.array(table.rows)
-    labels: np.ndarray | None = None
-    notes: tuple[str, ...] = ()
-    if columns := _named_columns(table):
-        poses = _from_vectors(values[:, columns[:3]], values[:, columns[3:]])
-        labels = values[:, 0] if min(columns) > 0 else None
-    elif widths[0] in (8, 7):
-        labels = values[:, 0] if widths[0] == 8 else None
-        poses, notes = _vectors(table, values[:, -7:])
-    else:
-        if widths[0] not in (*_LABELLED, *_UNLABELLED):
-            raise DataError(f"{path} holds {widths[0]} numbers a line and no line that names them; expected {_TABLE}")
-        labels = values[:, 0] if widths[0] in _LABELLED else None
-        size = widths[0] - (labels is not None)
-        poses = [usable_pose(row[-size:].reshape(-1, 4)) for row in values]
-    located = tuple(pose.located(f"{path}, line {line}") for pose, line in zip(poses, table.lines, strict=True))
-    return PoseTable(path, located, labels, table.names, notes)
-
-
-def _is_pose_table(widths: Sequence[int]) -> bool:
-    if len(set(widths)) == 1:
-        return widths[0] in (*_LABELLED, *_UNLABELLED) or widths[0] > 8 or (widths[0] == 4 and len(widths) % 4 == 0)
-    return len(widths) % 5 == 0 and tuple(widths) == (3, 4, 4, 4, 4) * (len(widths) // 5)
-
-
-def _blocks(table: NumberTable, height: int) -> PoseTable:
-    """Matrices over four lines, each after a line of three numbers if `height` is 5: the first is the frame's."""
-    starts = range(0, len(table.rows), height)
-    poses = [
-        usable_pose(np.array(table.rows[start + height - 4 : start + height])).located(
-            f"{table.path}, line {table.lines[start]}"
-        )
-        for start in starts
-    ]
-    labels = np.array([table.rows[start][0] for start in starts]) if height == 5 else None
-    return PoseTable(table.path, tuple(poses), labels)
-
-
-def _named_columns(table: NumberTable) -> list[int]:
-    """Columns of tx, ty, tz, qx, qy, qz, qw if the header names them all; else empty."""
-    words = [word for word in table.header if word not in ("m", "s", "ns", "rad", "deg")]
-    width = len(table.rows[0]) + bool(table.names)
-    if len(words) != width:
-        return []
-    ends = [word.rsplit("_", 1)[-1] if "_" in word else word for word in words]
-    is_rotation = [word.startswith(("q", "rot")) for word in words]
-    columns = []
-    for axis, rotates in [*((axis, False) for axis in "xyz"), *((axis, True) for axis in "xyzw")]:
-        names = (axis, f"q{axis}", f"r{axis}") if rotates else (axis, f"t{axis}", f"p{axis}")
-        found = [i for i, end in enumerate(ends) if end in names and is_rotation[i] == rotates]
-        if not found:
-            return []
-        columns.append(found[0] - bool(table.names))
-    return columns
-
-
-def _vectors(table: NumberTable, values: np.ndarray) -> tuple[list[Pose], tuple[str, ...]]:
-    """Poses of rows (N, 7) of a translation and a quaternion, in the order that the numbers show; and the note.
-
-    The four that are of unit length are the quaternion. It is x, y, z, w as in TUM text, unless the rows begin with it
-    or the first pose, at the origin, is 1 0 0 0: the identity as w, x, y, z.
-    """
-    finite = values[np.isfinite(values).all(axis=1)]
-    last, first = (_are_unit(finite[:, columns]) for columns in (slice(3, 7), slice(0, 4)))
-    if first and not last:
-        note = f"{table.path} is read as `qw qx qy qz tx ty tz`, as its first four numbers are unit quaternions"
-        return _from_vectors(values[:, 4:], np.roll(values[:, :4], -1, axis=1)), (note,)
-    start = finite[0] if len(finite) else np.zeros(7)
-    if np.allclose(start, [0, 0, 0, 1, 0, 0, 0], atol=1e-6) and len(finite) > 1:
-        note = f"{table.path} is read as `tx ty tz qw qx qy qz`, as it begins with 0 0 0 1 0 0 0, the identity"
-        return _from_vectors(values[:, :3], np.roll(values[:, 3:], -1, axis=1)), (note,)
-    return _from_vectors(values[:, :3], values[:, 3:]), ()
-
-
-def _are_unit(quaternions: np.ndarray) -> bool:
-    """Whether most rows (N, 4) are of unit length."""
-    norms = np.linalg.norm(quaternions, axis=1)
-    return bool(norms.size) and bool((np.abs(norms - 1) < NORM_TOLERANCE).mean() > 0.5)
-
-
-def _from_vectors(translations: np.ndarray, quaternions: np.ndarray) -> list[Pose]:
-    return [pose_from_vectors(*vectors) for vectors in zip(translations, quaternions, strict=True)]
 
 
 def poses_of_table(

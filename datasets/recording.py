@@ -15,13 +15,14 @@ from ..recon.core.camera import Camera
 from ..recon.core.depth_image import DEPTH_SUFFIXES
 from ..recon.core.errors import DataError, FrameError
 from ..recon.core.frame import Frame
+from ..recon.core.pose import NO_POSE, Pose
 from .calibration import Calibration
 from .depth_units import sensor_units
 from .images import IMAGE_SUFFIXES, Undistorter, read_color, read_depth
 from .intrinsics import fit_calibration
 from .names import match_names, sorted_names
 from .pose_files import FramePoses
-from .poses import NO_POSE, Pose, pose_notes
+from .poses import pose_notes
 from .registration import ColorRegistration
 
 

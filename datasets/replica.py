@@ -6,12 +6,12 @@ from pathlib import Path
 
 from ..recon.core.camera import Camera
 from ..recon.core.depth_image import DEPTH_SUFFIXES
+from ..recon.core.pose import NO_POSE
 from .calibration import Calibration
 from .camera_files import calibration_or
 from .images import list_numbered
 from .layout import first_file
 from .pose_files import FramePoses, poses_of_table
-from .poses import NO_POSE
 from .recording import FileRecording, frame_entries
 
 RENDERED = Calibration(Camera(1200, 680, 600.0, 600.0, 599.5, 339.5), 6553.5)

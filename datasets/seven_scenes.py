@@ -10,12 +10,12 @@ from scipy.spatial.transform import Rotation
 
 from ..recon.core.camera import Camera
 from ..recon.core.depth_image import DEPTH_SUFFIXES
+from ..recon.core.pose import NO_POSE, Pose
 from .calibration import CAMERA_FILE, Calibration
 from .camera_files import calibration_or
 from .images import list_files
 from .layout import choose_sequence
 from .pose_files import FramePoses, read_pose
-from .poses import NO_POSE, Pose
 from .recording import FileRecording, frame_entries
 
 # The data set names one camera, that of depth and poses; its images are the raw ones of the Kinect's colour camera.

@@ -12,6 +12,7 @@ import numpy as np
 from ..recon.core.camera import Camera
 from ..recon.core.depth_image import read_depth_values
 from ..recon.core.errors import DataError
+from ..recon.core.pose import NO_POSE
 from ..recon.core.text import TextLine, parse_number, read_text, text_lines
 from ..recon.core.time_stamps import SECONDS, TimeUnit, common_units, explain_mismatch
 from .calibration import CAMERA_FILE, Calibration
@@ -19,7 +20,6 @@ from .camera_files import calibration_or
 from .clocks import Stream, depth_delay
 from .layout import first_file
 from .pose_files import FramePoses, poses_of_table
-from .poses import NO_POSE
 from .recording import Entry, FileRecording
 
 MAX_DEPTH_GAP_S = 0.04  # a little over one frame: a wider gap pairs a colour image with another view

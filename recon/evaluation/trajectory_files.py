@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import numpy as np
@@ -9,6 +10,7 @@ import numpy as np
 from ..core.errors import DataError
 from ..core.events import OnEvent, Warn, ignore
 from ..core.pose_tables import PoseTable, read_pose_table
+from ..core.time_stamps import SECONDS, common_units, unit_of
 from ..core.trajectory import Trajectory
 from .trajectory_metrics import has_clock
 
@@ -24,31 +26,78 @@ def load_trajectories(
     together.
     """
     tables = read_pose_table(estimate_path), read_pose_table(reference_path)
-    for note in (note for table in tables for note in table.notes):
+    matrices = [_matrices(table) for table in tables]
+    for note in (note for table in tables for note in (*table.notes, *_pose_notes(table))):
         on_event(Warn(note))
-    timed, counted = tables if tables[0].times is not None else tables[::-1]
-    if timed.times is None or counted.times is not None:
-        labels = [_labels(table) for table in tables]
-        _warn_of_counts(tables, on_event)
-    elif has_clock(timed.times[np.isfinite(timed.times)]):
+    timed, counted = tables if tables[0].are_times else tables[::-1]
+    if timed.are_times and not counted.are_times and _has_clock(timed):
         _require_same_count(timed, counted, on_event)
-        labels = [timed.times, timed.times]
+        labels = [_seconds(timed, None, on_event)] * 2
+    elif timed.are_times and counted.are_times:
+        labels = [_seconds(first, second, on_event) for first, second in (tables, tables[::-1])]
     else:  # whole numbers in the place of time stamps count frames
-        labels = [_labels(table) for table in tables]
-    first, second = (Trajectory(label, table.T_world_camera) for label, table in zip(labels, tables, strict=True))
-    return first, second
+        labels = [_numbers(table) for table in tables]
+        _warn_of_counts(tables, on_event)
+    estimate, reference = (Trajectory(label, poses) for label, poses in zip(labels, matrices, strict=True))
+    return estimate, reference
 
 
-def _labels(table: PoseTable) -> np.ndarray:
-    """(N,) seconds or frame numbers."""
-    if table.times is not None:
-        return table.times
-    return np.arange(len(table), dtype=float) if table.numbers is None else table.numbers
+def _matrices(table: PoseTable) -> np.ndarray:
+    """(N, 4, 4) T_world_camera, not a number where a pose cannot be used. Raises DataError if none can."""
+    nothing = np.full((4, 4), np.nan)
+    usable = [pose.T_world_camera for pose in table.poses if pose.T_world_camera is not None]
+    if not usable:
+        first = table.poses[0].remark
+        raise DataError(f"{table.path} holds no finite pose with a rotation among its {len(table)}; the first: {first}")
+    return np.stack([nothing if pose.T_world_camera is None else pose.T_world_camera for pose in table.poses])
+
+
+def _pose_notes(table: PoseTable) -> list[str]:
+    """A line on poses that cannot be used, and one on those that were corrected."""
+    notes = []
+    for what, is_usable in (("cannot be used", False), ("were corrected", True)):
+        remarks = [p.remark for p in table.poses if p.remark and (p.T_world_camera is not None) == is_usable]
+        if remarks:
+            notes.append(f"{len(remarks)} of {len(table)} poses {what} ({remarks[0]})")
+    return notes
+
+
+def _has_clock(table: PoseTable) -> bool:
+    return table.unit_s is not None or has_clock(_finite(table))
+
+
+def _finite(table: PoseTable) -> np.ndarray:
+    """The finite time stamps or frame numbers of a table that has them."""
+    labels = np.asarray(table.labels)
+    return labels[np.isfinite(labels)]
+
+
+def _seconds(table: PoseTable, other: PoseTable | None, on_event: OnEvent) -> np.ndarray:
+    """(N,) time stamps of `table`; their unit is named by its header, or found from them and those of the `other`."""
+    labels = np.asarray(table.labels)
+    if table.unit_s is not None:
+        return labels * table.unit_s
+    if other is None or other.unit_s is not None:
+        unit = unit_of(_finite(table))
+    else:
+        unit, _ = common_units(_finite(table), _finite(other))
+    if unit != SECONDS:
+        on_event(Warn(f"time stamps of {table.path} are read as {unit.name}"))
+    return labels * unit.seconds
+
+
+def _numbers(table: PoseTable) -> np.ndarray:
+    """(N,) frame numbers: as the file has them, the last number in each name, or counted from 0."""
+    if table.labels is not None:
+        return table.labels
+    found = [re.findall(r"\d+", Path(name.replace("\\", "/")).stem)[-1:] for name in table.names]
+    numbers = np.array([float(digits[0]) for digits in found if digits])
+    return numbers if len(np.unique(numbers)) == len(table) else np.arange(len(table), dtype=float)
 
 
 def _warn_of_counts(tables: tuple[PoseTable, PoseTable], on_event: OnEvent) -> None:
     """Poses that count from 0 can be of other frames, if the files have different numbers of them."""
-    counted = [table for table in tables if table.times is None and table.numbers is None]
+    counted = [table for table in tables if table.labels is None and not table.names]
     sizes = [len(table) for table in tables]
     if counted and sizes[0] != sizes[1]:
         what = f"though there are {sizes[0]} estimated and {sizes[1]} true poses"

@@ -5,6 +5,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 from uncle.datasets import open_dataset
 from uncle.datasets.calibration import CameraFile
 from uncle.recon.core.camera import Camera
@@ -95,6 +96,49 @@ def test_pose_text_is_interpolated_at_the_time_stamps(write_folder, pose_line):
     assert recording.has_timestamps
     assert recording[1].timestamp == 10.02
     assert [recording.pose(index)[0, 3] for index in range(3)] == pytest.approx([0.0, 0.4, 1.0])
+
+
+POSE_FORMATS = {
+    "poses.kitti": lambda poses: "\n".join(" ".join(map(str, pose[:3].ravel())) for pose in poses),
+    "poses.tum": lambda poses: "\n".join(f"{index} {vectors(pose)}" for index, pose in enumerate(poses)),
+    "trajectory.log": lambda poses: "\n".join(
+        f"{index} {index} 3\n" + "\n".join(" ".join(map(str, row)) for row in pose) for index, pose in enumerate(poses)
+    ),
+    "groundtruth.csv": lambda poses: (
+        "#timestamp, p_x [m], p_y [m], p_z [m], q_x [], q_y [], q_z [], q_w []\n"
+        + "\n".join(f"{index},{vectors(pose).replace(' ', ',')}" for index, pose in enumerate(poses))
+    ),
+    "poses.g2o": lambda poses: "\n".join(
+        f"VERTEX_SE3:QUAT {index} {vectors(pose)}" for index, pose in enumerate(poses)
+    ),
+}
+
+
+def vectors(pose):
+    return " ".join(map(str, [*pose[:3, 3], *Rotation.from_matrix(pose[:3, :3]).as_quat()]))
+
+
+@pytest.mark.parametrize("name", POSE_FORMATS)
+def test_poses_in_formats_of_trajectory_tools(write_folder, room, name):
+    folder, poses = write_folder(), room.poses(3)
+    (folder / name).write_text(POSE_FORMATS[name](poses))
+    recording = open_dataset(folder)
+    np.testing.assert_allclose([recording.pose(index) for index in range(3)], poses, atol=1e-6)
+
+
+def test_of_two_files_of_poses_the_one_that_is_not_read_is_named(write_folder, room):
+    folder, poses = write_folder(), room.poses(3)
+    (folder / "poses.tum").write_text(POSE_FORMATS["poses.tum"](poses))
+    (folder / "trajectory.log").write_text(POSE_FORMATS["trajectory.log"](poses[::-1]))
+    recording = open_dataset(folder)
+    np.testing.assert_allclose(recording.pose(0), poses[0], atol=1e-6)
+    assert "poses are those of poses.tum; trajectory.log is not read" in recording.notes
+
+
+def test_the_true_surface_may_be_any_mesh_file(write_folder, box_room):
+    folder = write_folder()
+    box_room.mesh().save(folder / "mesh_gt.obj")
+    assert open_dataset(folder).reference_mesh == folder / "mesh_gt.obj"
 
 
 def test_poses_are_optional(write_folder):

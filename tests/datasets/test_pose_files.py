@@ -3,8 +3,9 @@ from itertools import pairwise
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
-from uncle.datasets.pose_files import poses_of_files, poses_of_table, read_pose, read_pose_table
+from uncle.datasets.pose_files import poses_of_files, poses_of_table, read_pose
 from uncle.recon.core.errors import DataError
+from uncle.recon.core.pose_tables import read_pose_table
 
 COUNT = 6
 STEMS = [f"{index:04d}" for index in range(COUNT)]

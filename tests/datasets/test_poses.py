@@ -1,7 +1,8 @@
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
-from uncle.datasets.poses import NO_POSE, Pose, pose_from_vectors, pose_notes, usable_pose
+from uncle.datasets.poses import pose_notes
+from uncle.recon.core.pose import NO_POSE, Pose, pose_from_vectors, usable_pose
 
 ROTATION = Rotation.from_euler("xyz", [20, 35, 8], degrees=True).as_matrix()
 POSE = np.eye(4)
