@@ -15,7 +15,7 @@ from ..recon.core.time_stamps import SECONDS, unit_of
 from .calibration import CAMERA_FILE, Calibration, CameraFile
 from .camera_files import find_camera_file, read_camera_file
 from .images import list_depth_files, list_files, read_size
-from .layout import first_file
+from .layout import ASSOCIATION_FILES, first_file
 from .names import match_names, numbers_of_names
 from .pose_files import FramePoses, poses_of_files, poses_of_table
 from .recording import FileRecording, frame_entries
@@ -28,7 +28,7 @@ POSE_TABLES = tuple(
     for suffix in (".txt", ".csv", ".tum", ".log", ".kitti", ".g2o")
 )
 POSE_FOLDERS = ("poses", "pose")
-OTHER_LAYOUTS = ("rgb.txt", "depth.txt", "associations.txt", "intrinsic", "frames")
+OTHER_LAYOUTS = (*ASSOCIATION_FILES, "rgb.txt", "depth.txt", "intrinsic", "frames")
 
 
 def matches(path: Path) -> bool:

@@ -13,7 +13,7 @@ from .images import usual_size
 
 SAME_RATIO = 0.03  # width and height ratios that differ by less are one ratio: sizes and principal points are rounded
 CLEAR_RATIO = 1.35  # the principal point of a lens is never as far off the middle as that of another image size
-DOUBTFUL_RATIO = 1.2  # this far off in one direction is a crop, or a mistake
+DOUBTFUL_RATIO = 1.25  # this far off in one direction is a crop, or a mistake
 MIN_FOCAL_RATIO = 0.12  # focal length by image width: a field of view of 153 degrees
 MIN_WIDTH_PX = 16
 

@@ -8,6 +8,9 @@ from pathlib import Path
 from ..recon.core.errors import DataError
 from .names import sorted_names
 
+# Lists of pairs of colour and depth images, in the layout of TUM RGB-D.
+ASSOCIATION_FILES = ("associations.txt", "association.txt", "associate.txt", "associated.txt")
+
 
 def choose_sequence(path: Path, marker: str) -> tuple[Path, tuple[str, ...]]:
     """`path` itself or its first subfolder that holds something like `marker` (a glob), and a note on the choice.

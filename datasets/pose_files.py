@@ -1,4 +1,4 @@
-"""The poses of the frames of a recording, from files with one each or from a table (recon/core/pose_tables.py)."""
+"""Which pose belongs to which frame: by name, time stamp or number, and by order only where there is none of these."""
 
 from __future__ import annotations
 
@@ -9,9 +9,8 @@ from pathlib import Path
 import numpy as np
 
 from ..recon.core.errors import DataError
-from ..recon.core.pose import NO_POSE, Pose, usable_pose
-from ..recon.core.pose_tables import PoseTable, poses_from_vectors, read_pose_table
-from ..recon.core.text import read_table
+from ..recon.core.pose import NO_POSE, Pose
+from ..recon.core.pose_tables import PoseTable, read_pose, read_pose_table
 from ..recon.core.time_stamps import SECONDS, common_units, explain_mismatch, unit_of
 from ..recon.core.trajectory import Trajectory
 from .images import list_files
@@ -19,7 +18,7 @@ from .names import match_names, numbers_of_names
 from .poses import MAX_POSE_GAP_S, interpolate_poses
 
 POSE_SUFFIXES = (".txt", ".csv", ".dat", ".pose")
-_MATRIX = "a 4x4 or 3x4 matrix, or `tx ty tz qx qy qz qw`"
+MAX_FRAME_NUMBER = 1e11  # larger numbers in names are time stamps
 
 
 @dataclass(frozen=True)
@@ -28,21 +27,6 @@ class FramePoses:
 
     poses: list[Pose]
     notes: tuple[str, ...] = ()
-
-
-def read_pose(path: Path) -> Pose:
-    """The pose of a file that holds one: a 4x4 or 3x4 matrix, or a translation and a quaternion."""
-    try:
-        table = read_table(path, _is_one_pose, _MATRIX)
-        values = np.concatenate([np.array(row) for row in table.rows])
-        pose = usable_pose(values.reshape(-1, 4)) if values.size != 7 else poses_from_vectors(path, values[None])[0][0]
-    except DataError as error:
-        return Pose(None, str(error))
-    return pose.located(str(path))
-
-
-def _is_one_pose(widths: Sequence[int]) -> bool:
-    return tuple(widths) in {(4,) * 4, (4,) * 3, (16,), (12,), (7,), (1,) * 7, (3, 4), (4, 3)}
 
 
 def _unchanged(matrix: np.ndarray) -> np.ndarray:
@@ -84,14 +68,17 @@ def poses_of_table(
     name, time stamp or number; by order only where they have none of these. Raises DataError if none belongs to a frame
     or it cannot be told which.
     """
-    table = read_pose_table(path)
-    if table.names:
-        return _by_name(table, stems)
-    if table.labels is None:
-        return _by_order(table, stems)
-    if stamps is not None:
-        return _by_time(table, stamps, stems, max_gap_s)
-    return _by_number(table, stems)
+    try:
+        table = read_pose_table(path)
+        if table.names:
+            return _by_name(table, stems)
+        if table.labels is None:
+            return _by_order(table, stems)
+        if stamps is not None:
+            return _by_time(table, stamps, stems, max_gap_s)
+        return _by_number(table, stems)
+    except DataError as error:
+        raise DataError(f"{error}; or remove {path.name} to go on without poses") from error
 
 
 def _by_name(table: PoseTable, stems: Sequence[str]) -> FramePoses:
@@ -109,7 +96,10 @@ def _by_number(table: PoseTable, stems: Sequence[str]) -> FramePoses:
     matched = [poses.get(_rounded(number)) for number in numbers]
     count = sum(pose is not None for pose in matched)
     ranges = f"poses from {labels.min():g} to {labels.max():g}, images from {numbers[0]:g} to {numbers[-1]:g}"
-    if count < min(len(numbers), len(poses)) and (labels % 1 != 0).any():
+    if len(poses) < len(table):
+        raise DataError(f"{table.path}: {len(table) - len(poses)} of its {len(table)} poses have the number of another")
+    are_times = bool((labels % 1 != 0).any()) or max(numbers) > MAX_FRAME_NUMBER
+    if are_times and count < min(len(numbers), len(poses)):
         return _by_time(table, np.array(numbers) * unit_of(np.array(numbers)).seconds, stems, MAX_POSE_GAP_S)
     if count == 0 and set(poses) <= set(counted):
         note = f"{table.path}: its numbers are not those of the images ({ranges}): they count the images from 0"
@@ -118,7 +108,7 @@ def _by_number(table: PoseTable, stems: Sequence[str]) -> FramePoses:
     if count == 0 or (count < len(numbers) == len(poses) and _is_shifted(np.array(numbers), labels)):
         raise DataError(
             f"{table.path}: the numbers of its poses are not those of the images ({ranges}), so it cannot be told "
-            f"which belong together; give both the same numbers, or remove {table.path.name} to go on without poses"
+            "which belong together; give both the same numbers"
         )
     return _found(table, matched, count)
 
@@ -148,7 +138,7 @@ def _by_order(table: PoseTable, stems: Sequence[str]) -> FramePoses:
         return FramePoses(_found(table, poses, used).poses, (*table.notes, note))
     raise DataError(
         f"{table.path} holds {count} poses without number or time stamp, but there are {len(stems)} images: it cannot "
-        f"be told which belong together; begin each line with the number of its image, or remove {table.path.name}"
+        "be told which belong together; begin each line with the number of its image"
     )
 
 
@@ -156,29 +146,21 @@ def _by_time(table: PoseTable, stamps: np.ndarray, stems: Sequence[str], max_gap
     labels = np.asarray(table.labels)
     finite = labels[np.isfinite(labels)]
     if not finite.size:
-        raise DataError(f"{table.path} holds no finite time stamp; remove it to go on without poses")
+        raise DataError(f"{table.path} holds no finite time stamp")
     _, unit = common_units(stamps, finite)
-    notes = table.notes
+    notes = table.notes + table.remarks
     if unit != SECONDS:
         notes += (f"time stamps of {table.path} are read as {unit.name}",)
     seconds = labels * unit.seconds
-    nothing = np.full((4, 4), np.nan)
-    matrices = np.stack([nothing if p.T_world_camera is None else p.T_world_camera for p in table.poses])
-    poses = interpolate_poses(Trajectory(seconds, matrices), stamps, max_gap_s)
-    unusable = [pose.remark for pose in table.poses if pose.T_world_camera is None]
+    poses = interpolate_poses(Trajectory(seconds, table.T_world_camera), stamps, max_gap_s)
     if all(pose.T_world_camera is None for pose in poses):
         numbers = numbers_of_names(stems)
         if numbers is not None and set(numbers) <= set(labels.tolist()):
             found = _by_number(table, stems)
             return FramePoses(found.poses, (f"{table.path}: its numbers are those of the images", *found.notes))
-        go_on = f", or remove {table.path.name} to go on without poses"
-        if len(unusable) == len(table.poses):
-            raise DataError(f"none of the {len(unusable)} poses can be used; the first: {unusable[0]}{go_on}")
         usable = seconds[np.isfinite(seconds)]
         rule = "poses are not interpolated across"
-        raise DataError(explain_mismatch(str(table.path), usable, "the images", stamps, max_gap_s, rule) + go_on)
-    if unusable:
-        notes += (f"{len(unusable)} of {len(table.poses)} poses cannot be used; the first: {unusable[0]}",)
+        raise DataError(explain_mismatch(str(table.path), usable, "the images", stamps, max_gap_s, rule))
     return FramePoses(poses, notes)
 
 

@@ -11,11 +11,12 @@ from scipy.spatial.transform import Rotation
 from ..recon.core.camera import Camera
 from ..recon.core.depth_image import DEPTH_SUFFIXES
 from ..recon.core.pose import NO_POSE, Pose
+from ..recon.core.pose_tables import read_pose
 from .calibration import CAMERA_FILE, Calibration
 from .camera_files import calibration_or
 from .images import list_files
 from .layout import choose_sequence
-from .pose_files import FramePoses, read_pose
+from .pose_files import FramePoses
 from .recording import FileRecording, frame_entries
 
 # The data set names one camera, that of depth and poses; its images are the raw ones of the Kinect's colour camera.
@@ -49,8 +50,8 @@ def read(path: Path) -> FileRecording:
     entries = frame_entries(colors, {"depth": depths}, poses)  # OpenCV axes as they are
     assumed: tuple[str, ...] = ()
     if calibration is KINECT:
-        what = "colour is registered to depth by a typical calibration of this data set"
-        assumed = (f"{what}; a {CAMERA_FILE} states another",)
+        what = "the Kinect of 7-Scenes (f 585) is assumed, and colour is registered to depth by a typical calibration"
+        assumed = (f"{what} of that data set; a {CAMERA_FILE} states another",)
     elif calibration.color_camera is None:
         assumed = ("colour is taken as registered to depth, as the camera file names no other camera",)
     sensors = ("depth",) if any(entry.depths for entry in entries) else ()

@@ -18,14 +18,13 @@ from ..recon.core.time_stamps import SECONDS, TimeUnit, common_units, explain_mi
 from .calibration import CAMERA_FILE, Calibration
 from .camera_files import calibration_or
 from .clocks import Stream, depth_delay
-from .layout import first_file
+from .layout import ASSOCIATION_FILES, first_file
 from .pose_files import FramePoses, poses_of_table
 from .recording import Entry, FileRecording
 
 MAX_DEPTH_GAP_S = 0.04  # a little over one frame: a wider gap pairs a colour image with another view
 UNITS_PER_M = 5000.0
 NEAR_M = 0.5  # rooms are rarely seen from nearer: the depth scale is questioned
-ASSOCIATION_FILES = ("associations.txt", "association.txt", "associate.txt", "associated.txt")
 ASSOCIATION = re.compile(r"([^\s,;]+)[\s,;]+(.+?\.(?:png|jpe?g)[\"']?)[\s,;]+([^\s,;]+)[\s,;]+(.+)", re.IGNORECASE)
 TUM_NAME = re.compile(r"rgbd_dataset_freiburg([123])(?:_|\b)")
 

@@ -16,6 +16,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 
 import numpy as np
@@ -57,15 +58,54 @@ class PoseTable:
     def __len__(self) -> int:
         return len(self.poses)
 
+    @cached_property
+    def T_world_camera(self) -> np.ndarray:
+        """(N, 4, 4) float64, not a number where a pose cannot be used."""
+        nothing = np.full((4, 4), np.nan)
+        return np.stack([nothing if pose.T_world_camera is None else pose.T_world_camera for pose in self.poses])
+
+    @property
+    def remarks(self) -> tuple[str, ...]:
+        """A line on poses that cannot be used, and one on those that were corrected."""
+        lines = []
+        for what, is_usable in (("cannot be used", False), ("were corrected", True)):
+            found = [
+                pose.remark for pose in self.poses if pose.remark and (pose.T_world_camera is not None) == is_usable
+            ]
+            if found:
+                lines.append(f"{len(found)} of {len(self)} poses {what} (the first: {found[0]})")
+        return tuple(lines)
+
 
 def read_pose_table(path: Path) -> PoseTable:
-    """Read the poses of a text file. Raises DataError if it is nothing of that kind."""
+    """Read the poses of a text file. Raises DataError if it is nothing of that kind, or no pose can be used."""
     lines = text_lines(path)
     if not lines:
         raise DataError(f"{path} holds no poses")
-    if any(line.text.startswith("VERTEX") for line in lines):
-        return _read_graph(path, lines)
-    table = _read_numbers(path)
+    is_graph = any(line.text.startswith("VERTEX") for line in lines)
+    table = _read_graph(path, lines) if is_graph else _read_rows(_read_numbers(path))
+    if all(pose.T_world_camera is None for pose in table.poses):
+        first = table.poses[0].remark
+        raise DataError(f"none of the {len(table)} poses of {path} can be used (the first: {first})")
+    return table
+
+
+def read_pose(path: Path) -> Pose:
+    """The pose of a file that holds one: a 4x4 or 3x4 matrix, or a translation and a quaternion."""
+    try:
+        table = read_table(path, _is_one_pose, "a 4x4 or 3x4 matrix, or `tx ty tz qx qy qz qw`")
+        values = np.concatenate([np.array(row) for row in table.rows])
+        pose = usable_pose(values.reshape(-1, 4)) if values.size != 7 else _from_rows(path, values[None])[0][0]
+    except DataError as error:
+        return Pose(None, str(error))
+    return pose.located(str(path))
+
+
+def _is_one_pose(widths: Sequence[int]) -> bool:
+    return tuple(widths) in {(4,) * 4, (4,) * 3, (16,), (12,), (7,), (1,) * 7, (3, 4), (4, 3)}
+
+
+def _read_rows(table: NumberTable) -> PoseTable:
     widths = [len(row) for row in table.rows]
     if len(set(widths)) > 1 or widths[0] in (3, 4):
         return _read_blocks(table, 4 if widths[0] == 4 else 5)
@@ -75,7 +115,7 @@ def read_pose_table(path: Path) -> PoseTable:
         return _read_vectors(table, values, columns)
     before = _MATRIX_WIDTHS[widths[0]]
     poses = [usable_pose(row[before:].reshape(-1, 4)) for row in values]
-    return PoseTable(path, _located(table, poses), values[:, 0] if before else None, names=table.names)
+    return PoseTable(table.path, _located(table, poses), values[:, 0] if before else None, names=table.names)
 
 
 def _read_numbers(path: Path) -> NumberTable:
@@ -129,7 +169,7 @@ def _read_vectors(table: NumberTable, values: np.ndarray, columns: list[int]) ->
     else:
         first = int(has_label)
         is_euroc = labels is not None and width != 9 and np.nanmedian(labels) > _EUROC_STAMP and "," in read_text(path)
-        poses, notes = poses_from_vectors(path, values[:, first : first + 7], is_euroc=is_euroc)
+        poses, notes = _from_rows(path, values[:, first : first + 7], is_euroc=is_euroc)
         if width > 9:
             notes += (f"{path}: columns behind the first {first + 7} are not used, as no line names them",)
     unit_s = _UNITS_S.get(table.header[1]) if has_label and len(table.header) > 1 else None
@@ -153,7 +193,7 @@ def _named_columns(table: NumberTable) -> list[int]:
     return columns
 
 
-def poses_from_vectors(path: Path, values: np.ndarray, *, is_euroc: bool = False) -> tuple[list[Pose], tuple[str, ...]]:
+def _from_rows(path: Path, values: np.ndarray, *, is_euroc: bool = False) -> tuple[list[Pose], tuple[str, ...]]:
     """Poses of rows (N, 7) of a translation and a quaternion in the order that the numbers show, and what was assumed.
 
     The four that are of unit length are the quaternion. It is x, y, z, w as in TUM text, unless the rows begin with it,

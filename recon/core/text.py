@@ -72,10 +72,15 @@ def read_text(path: Path) -> str:
     return text.removeprefix("\ufeff").rstrip("\x1a")
 
 
+def marked_encoding(data: bytes) -> str | None:
+    """The encoding that a byte order mark states; None without one."""
+    return next((encoding for mark, encoding in _MARKS if data.startswith(mark)), None)
+
+
 def _encoding(data: bytes) -> str:
-    for mark, encoding in _MARKS:
-        if data.startswith(mark):
-            return encoding
+    marked = marked_encoding(data)
+    if marked is not None:
+        return marked
     if b"\0" in data[:4096]:  # numbers and Latin letters in UTF-16: every second byte is zero
         return "utf-16-be" if data[:4096:2].count(0) > data[1:4096:2].count(0) else "utf-16-le"
     try:

@@ -26,8 +26,7 @@ def load_trajectories(
     together.
     """
     tables = read_pose_table(estimate_path), read_pose_table(reference_path)
-    matrices = [_matrices(table) for table in tables]
-    for note in (note for table in tables for note in (*table.notes, *_pose_notes(table))):
+    for note in (note for table in tables for note in (*table.notes, *table.remarks)):
         on_event(Warn(note))
     timed, counted = tables if tables[0].are_times else tables[::-1]
     if timed.are_times and not counted.are_times and _has_clock(timed):
@@ -38,28 +37,8 @@ def load_trajectories(
     else:  # whole numbers in the place of time stamps count frames
         labels = [_numbers(table) for table in tables]
         _warn_of_counts(tables, on_event)
-    estimate, reference = (Trajectory(label, poses) for label, poses in zip(labels, matrices, strict=True))
+    estimate, reference = (Trajectory(label, table.T_world_camera) for label, table in zip(labels, tables, strict=True))
     return estimate, reference
-
-
-def _matrices(table: PoseTable) -> np.ndarray:
-    """(N, 4, 4) T_world_camera, not a number where a pose cannot be used. Raises DataError if none can."""
-    nothing = np.full((4, 4), np.nan)
-    usable = [pose.T_world_camera for pose in table.poses if pose.T_world_camera is not None]
-    if not usable:
-        first = table.poses[0].remark
-        raise DataError(f"{table.path} holds no finite pose with a rotation among its {len(table)}; the first: {first}")
-    return np.stack([nothing if pose.T_world_camera is None else pose.T_world_camera for pose in table.poses])
-
-
-def _pose_notes(table: PoseTable) -> list[str]:
-    """A line on poses that cannot be used, and one on those that were corrected."""
-    notes = []
-    for what, is_usable in (("cannot be used", False), ("were corrected", True)):
-        remarks = [p.remark for p in table.poses if p.remark and (p.T_world_camera is not None) == is_usable]
-        if remarks:
-            notes.append(f"{len(remarks)} of {len(table)} poses {what} ({remarks[0]})")
-    return notes
 
 
 def _has_clock(table: PoseTable) -> bool:

@@ -10,6 +10,7 @@ from scipy.spatial import cKDTree
 
 from ..core.errors import DataError
 from ..core.se3 import rotation_angle
+from ..core.time_stamps import explain_mismatch
 from ..core.trajectory import Trajectory
 from .drift import Drift, measure_drift, motion_errors
 
@@ -172,10 +173,9 @@ def associate(estimate: Trajectory, reference: Trajectory, max_difference_s: flo
     _, first = np.unique(nearest[order], return_index=True)
     chosen = order[first][np.argsort(times[order[first]], kind="stable")]
     if len(chosen) == 0:
-        raise DataError(
-            f"the trajectories share no time stamp within {max_difference_s} s: {times[0]:.3f} to {times[-1]:.3f} and "
-            f"{true_times[0]:.3f} to {true_times[-1]:.3f}; check that both are of the same recording"
-        )
+        names, rule = ("the estimate", "the reference"), "poses are not matched across"
+        reason = explain_mismatch(names[0], times, names[1], true_times, max_difference_s, rule)
+        raise DataError(f"the trajectories share no time stamp within {max_difference_s} s. {reason}")
     return np.column_stack([finite[0][chosen], finite[1][nearest[chosen]]])
 
 

@@ -243,7 +243,7 @@ def test_trajectories_of_other_formats(trajectories, tmp_path):
     [
         (["late.txt", "groundtruth.txt"], 1, "share no time stamp"),
         (["empty.txt", "groundtruth.txt"], 1, "empty.txt holds no poses"),
-        (["nan.txt", "groundtruth.txt"], 1, "no finite pose"),
+        (["nan.txt", "groundtruth.txt"], 1, "its numbers are not finite"),
         (["words.txt", "groundtruth.txt"], 1, "words.txt, line 2"),
         (["absent.txt", "groundtruth.txt"], 1, "absent.txt"),
         (["trajectory.txt", "mesh.ply"], 2, "give two trajectories (.txt, .tum, .kitti, "),

@@ -251,3 +251,81 @@ def test_example_of_the_docs_is_a_valid_camera_file(write_folder, number):
     example = re.findall(r"```json\n(.*?)```", DOCS.read_text(), re.DOTALL)[number]
     (folder / "camera.json").write_text(example)
     assert CameraFile.load(folder / "camera.json").width == 640
+
+
+def test_images_and_poses_match_by_number(write_folder, room, pose_line):
+    folder = write_folder(sensors=("depth_tof",))
+    for index in (2, 1, 0):
+        (folder / f"color/{index:04d}.png").rename(folder / f"color/Bild {index + 9}.PNG")
+        (folder / f"depth_tof/{index:04d}.png").rename(folder / f"depth_tof/depth_{index + 9:06d}.png")
+    poses = room.poses(3)
+    (folder / "poses.txt").write_text("\n".join(pose_line(index + 9, poses[index]) for index in (2, 0, 1)))
+    recording = open_dataset(folder)
+    assert (len(recording), recording.notes) == (3, ())
+    room.check(recording, "tof")
+
+
+def test_images_without_a_partner_and_twins_are_noted(write_folder):
+    folder = write_folder()
+    (folder / "color/0001.png").unlink()
+    (folder / "color/0002.jpg").write_bytes((folder / "color/0002.png").read_bytes())
+    notes = open_dataset(folder).notes
+    assert any(
+        "1 images of" in note and note.endswith("depth belong to no frame (the first: 0001.png)") for note in notes
+    )
+    assert any("0002.jpg" in note and "not used" in note for note in notes)
+
+
+@pytest.mark.parametrize(
+    "text",
+    ["10\r\n10,5\r\n11\r\n", "\ufeff10000\n10500\n11000\n", "2 11\n0 10\n1 10.5\n",
+     "0002.png;11\n0000.png;10\n0001.png;10,5\n", "10000000000\n10500000000\n11000000000"],
+)  # fmt: skip
+def test_time_stamps_of_any_unit_and_order(write_folder, text):
+    folder = write_folder()
+    (folder / "timestamps.txt").write_text(text)
+    recording = open_dataset(folder)
+    assert [recording.timestamp(index) for index in range(3)] == pytest.approx([10.0, 10.5, 11.0])
+
+
+def test_camera_of_another_tool_and_of_another_size(write_folder, room):
+    folder = write_folder()
+    write_poses(folder, room)
+    (folder / "camera.json").unlink()
+    (folder / "camera-intrinsics.txt").write_text("50 0 30\n0 52 25\n0 0 1\n")
+    room.check(open_dataset(folder))
+    (folder / "camera-intrinsics.txt").unlink()
+    stated = {"width": 128, "height": 96, "fx": 100, "fy": 104, "cx": 60.5, "cy": 50.5}
+    (folder / "camera.json").write_text(json.dumps(stated))
+    recording = open_dataset(folder)
+    room.check(recording)
+    assert any("scaled by 0.5" in note for note in recording.notes)
+
+
+def test_without_a_camera_file_the_message_has_one_to_fill_in(write_folder):
+    folder = write_folder()
+    (folder / "camera.json").unlink()
+    with pytest.raises(DataError, match=r'"width": 64, "height": 48, "fx": \?.*"depth_scale": \?'):
+        open_dataset(folder)
+
+
+@pytest.mark.parametrize("model", ["rational_polynomial", "fisheye"])
+def test_images_of_a_strong_lens_land_on_the_room(write_folder, room, model):
+    folder = write_folder()
+    write_poses(folder, room)
+    camera = Camera(64, 48, 50.0, 52.0, 30.0, 25.0)
+    pixels = np.stack(np.meshgrid(np.arange(64), np.arange(48)), -1).astype(np.float64)
+    values = np.array([0.05, -0.02, 0.01, 0.0] if model == "fisheye" else [0.6, -0.1, 0, 0, 0.02, 0.05, 0.02, 0.01])
+    undistort = cv2.fisheye.undistortPoints if model == "fisheye" else cv2.undistortPoints
+    bent = undistort(pixels.reshape(-1, 1, 2), camera.matrix, values).reshape(pixels.shape)
+    rays = np.concatenate([bent, np.ones((48, 64, 1))], -1)
+    for index, pose in enumerate(room.poses(3)):
+        color, depth = room.render(camera, pose, rays)
+        room.write_color(folder / f"color/{index:04d}.png", color)
+        room.write_depth(folder / f"depth/{index:04d}.png", depth)
+    set_camera(folder, distortion=values.tolist(), distortion_model=model)
+    recording = open_dataset(folder)
+    errors = np.concatenate([room.errors(recording, index, "depth") for index in range(3)])
+    assert np.median(errors) < 0.03  # depth is resampled to the nearest of 64x48 pixels
+    set_camera(folder, distortion=[], distortion_model="opencv")
+    assert np.median(np.concatenate([room.errors(open_dataset(folder), i, "depth") for i in range(3)])) > 0.03

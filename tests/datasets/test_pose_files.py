@@ -3,9 +3,8 @@ from itertools import pairwise
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
-from uncle.datasets.pose_files import poses_of_files, poses_of_table, read_pose
+from uncle.datasets.pose_files import poses_of_files, poses_of_table
 from uncle.recon.core.errors import DataError
-from uncle.recon.core.pose_tables import read_pose_table
 
 COUNT = 6
 STEMS = [f"{index:04d}" for index in range(COUNT)]
@@ -16,11 +15,9 @@ def poses(room) -> list[np.ndarray]:
     return room.poses(COUNT)
 
 
-def row(pose: np.ndarray, order: str = "xyzw", first: str = "t") -> str:
-    quaternion = Rotation.from_matrix(pose[:3, :3]).as_quat()
-    quaternion = quaternion if order == "xyzw" else np.roll(quaternion, 1)
-    parts = [pose[:3, 3], quaternion] if first == "t" else [quaternion, pose[:3, 3]]
-    return " ".join(f"{value:.9f}" for part in parts for value in part)
+def row(pose: np.ndarray) -> str:
+    values = [*pose[:3, 3], *Rotation.from_matrix(pose[:3, :3]).as_quat()]
+    return " ".join(f"{value:.9f}" for value in values)
 
 
 def matrix_row(pose: np.ndarray) -> str:
@@ -34,47 +31,11 @@ def assert_poses(found, expected) -> None:
             np.testing.assert_allclose(pose.T_world_camera, truth, atol=1e-6)
 
 
-def matrix_text(pose: np.ndarray, kind: str) -> str:
-    rows = [" ".join(f"{value:.9f}" for value in line) for line in pose]
-    return {
-        "4x4": "\n".join(rows),
-        "3x4": "\n".join(rows[:3]),
-        "one line": " ".join(rows),
-        "12 numbers": " ".join(rows[:3]),
-        "decimal comma": "\r\n".join(rows).replace(".", ","),
-        "csv": "\n".join(line.replace(" ", ",") for line in rows),
-        "semicolons": "\n".join(line.replace(".", ",").replace(" ", ";") for line in rows),
-        "brackets": str(pose.tolist()),
-        "fortran": "\n".join(" ".join(f"{v:.9E}".replace("E", "D") for v in line) for line in pose),
-        "byte order mark": "\ufeff" + "\n".join(rows),
-        "comment": "# camera to world\n" + "\n".join(rows) + "\n\n",
-        "quaternion": row(pose),
-        "w first": row(pose, "wxyz", "q"),
-    }[kind]
-
-
-KINDS = ["4x4", "3x4", "one line", "12 numbers", "decimal comma", "csv", "semicolons", "brackets", "fortran"]
-
-
-@pytest.mark.parametrize("kind", [*KINDS, "byte order mark", "comment", "quaternion", "w first"])
-@pytest.mark.parametrize("encoding", ["utf-8", "utf-16"])
-def test_a_file_of_one_pose(tmp_path, poses, kind, encoding):
-    (tmp_path / "p.txt").write_bytes(matrix_text(poses[3], kind).encode(encoding))
-    assert_poses([read_pose(tmp_path / "p.txt")], [poses[3]])
-
-
-def test_a_file_of_anything_else_has_its_reason(tmp_path):
-    (tmp_path / "p.txt").write_text("1 2 3\n")
-    pose = read_pose(tmp_path / "p.txt")
-    assert pose.T_world_camera is None
-    assert "p.txt, line 1: expected a 4x4 or 3x4 matrix" in pose.remark
-
-
 @pytest.mark.parametrize("stems", [STEMS, [f"frame_{index}" for index in range(COUNT)]])
 @pytest.mark.parametrize("name", ["{:04d}.txt", "pose_{}.csv", "{:06d}.pose", "{:04d}.TXT"])
 def test_pose_files_match_images_by_name_or_number(tmp_path, poses, stems, name):
     for index in (0, 1, 2, 4, 5, 9):
-        (tmp_path / name.format(index)).write_text(matrix_text(poses[index % COUNT], "4x4"))
+        (tmp_path / name.format(index)).write_text(matrix_row(poses[index % COUNT]))
     found = poses_of_files(tmp_path, stems)
     assert_poses(found.poses, [*poses[:3], None, *poses[4:]])
     assert found.notes[0].startswith("1 of 6 pose files belong to no image (the first: ")
@@ -86,48 +47,6 @@ def test_pose_files_that_are_not_read_are_named(tmp_path):
     (tmp_path / "left.txt").touch()
     with pytest.raises(DataError, match=r"no pose file is called like an image \(files like left\.txt"):
         poses_of_files(tmp_path, STEMS)
-
-
-@pytest.mark.parametrize(
-    "header",
-    [
-        "#timestamp, p_RS_R_x [m], p_RS_R_y [m], p_RS_R_z [m], q_RS_w [], q_RS_x [], q_RS_y [], q_RS_z []",
-        "# timestamp tx ty tz qw qx qy qz",
-        "time;pos_x;pos_y;pos_z;rot_w;rot_x;rot_y;rot_z",
-    ],
-)
-def test_the_header_tells_the_order_of_a_quaternion(tmp_path, poses, header):
-    lines = [f"{index} {row(pose, 'wxyz')}" for index, pose in enumerate(poses)]
-    (tmp_path / "t.csv").write_text("\n".join([header, *lines]).replace(" ", "," if "," in header else " "))
-    assert_poses(read_pose_table(tmp_path / "t.csv").poses, poses)
-
-
-def test_the_identity_at_the_start_tells_the_order_of_a_quaternion(tmp_path, poses):
-    moved = [np.linalg.inv(poses[0]) @ pose for pose in poses]
-    (tmp_path / "t.txt").write_text("\n".join(f"{i} {row(pose, 'wxyz')}" for i, pose in enumerate(moved)))
-    table = read_pose_table(tmp_path / "t.txt")
-    assert_poses(table.poses, moved)
-    assert "qw qx qy qz" in table.notes[0]
-    (tmp_path / "t.txt").write_text("\n".join(f"{i} {row(pose)}" for i, pose in enumerate(moved)))
-    assert_poses(read_pose_table(tmp_path / "t.txt").poses, moved)
-
-
-def test_blocks_of_open3d(tmp_path, poses):
-    blocks = [f"{i} {i} {COUNT}\n" + matrix_text(pose, "4x4") for i, pose in enumerate(poses)]
-    (tmp_path / "trajectory.log").write_text("\n".join(blocks))
-    table = read_pose_table(tmp_path / "trajectory.log")
-    assert_poses(table.poses, poses)
-    np.testing.assert_array_equal(table.labels, range(COUNT))
-
-
-@pytest.mark.parametrize("width", [9, 6, 17])
-def test_a_table_of_something_else_is_refused(tmp_path, width):
-    (tmp_path / "t.txt").write_text("\n".join(" ".join(["1.5"] * width) for _ in range(3)))
-    if width == 17:  # a number and a matrix, of which none is a pose
-        assert_poses(read_pose_table(tmp_path / "t.txt").poses, [None] * 3)
-        return
-    with pytest.raises(DataError, match=r"t\.txt"):
-        read_pose_table(tmp_path / "t.txt")
 
 
 def write_table(path, rows):
@@ -143,6 +62,9 @@ def test_numbers_of_poses_are_those_of_the_images(tmp_path, poses):
     assert_poses(poses_of_table(tens, [f"rgb{10 * i}" for i in range(COUNT)], None).poses, poses)
     with pytest.raises(DataError, match=r"poses from 1 to 6, images from 0 to 5\), so it cannot be told"):
         poses_of_table(file, STEMS, None)
+    twice = write_table(tmp_path / "twice.txt", [f"{i // 2} {row(pose)}" for i, pose in enumerate(poses)])
+    with pytest.raises(DataError, match=r"3 of its 6 poses have the number of another; or remove twice\.txt"):
+        poses_of_table(twice, STEMS, None)
 
 
 def test_numbers_that_only_count_are_named(tmp_path, poses):
@@ -205,7 +127,7 @@ def test_time_stamps_of_another_unit_are_recognised(tmp_path, poses, unit):
 )
 def test_poses_that_do_not_meet_the_images_name_the_true_reason(tmp_path, poses, times, message):
     lines = [f"{time:.4f} {row(pose)}" for time, pose in zip(times, poses, strict=True)]
-    with pytest.raises(DataError, match=message + r".*, or remove t\.txt to go on without poses"):
+    with pytest.raises(DataError, match=message + r".*; or remove t\.txt to go on without poses"):
         poses_of_table(write_table(tmp_path / "t.txt", lines), STEMS, START + 0.5 + np.arange(COUNT) / 20)
 
 
@@ -221,5 +143,5 @@ def test_time_stamps_in_the_names_of_images(tmp_path, poses):
 
 def test_all_lines_unusable_are_counted(tmp_path):
     lines = [f"{START + i:.3f} nan nan nan 0 0 0 1" for i in range(COUNT)]
-    with pytest.raises(DataError, match=r"none of the 6 poses can be used; the first: .*t\.txt, line 1: its numbers"):
+    with pytest.raises(DataError, match=r"none of the 6 poses of .* \(the first: .*t\.txt, line 1: its numbers"):
         poses_of_table(write_table(tmp_path / "t.txt", lines), STEMS, START + np.arange(COUNT))

@@ -146,3 +146,32 @@ def _edge_score(color: np.ndarray, depth: np.ndarray) -> float:
     filled = 1 / filled_inverse_depth(depth)
     rim = (cv2.dilate(filled, np.ones((3, 3))) > 1.1 * filled) & (depth > 0)
     return float(gradient[rim[40:-40, 60:-60]].mean() / gradient.mean())
+
+
+INTRINSIC = "580 0 321 0 0 581 241 0 0 0 1 0 0 0 0 1"
+INFO = f"""m_colorWidth = 640
+m_colorHeight = 480
+m_depthWidth = 640
+m_depthHeight = 480
+m_depthShift = 1000
+m_calibrationColorIntrinsic = {INTRINSIC}
+m_calibrationDepthIntrinsic = {INTRINSIC}
+"""
+
+
+@pytest.mark.parametrize(
+    ("name", "text"),
+    [
+        ("../camera-intrinsics.txt", "580\t0\t321\n0\t581\t241\n0\t0\t1\n"),
+        ("camera-intrinsics.txt", "580 0 321\n0 581 241\n0 0 1\n"),
+        ("info.txt", INFO),
+    ],
+    ids=["3DMatch scene", "3DMatch sequence", "BundleFusion"],
+)
+def test_other_data_sets_of_this_layout_keep_their_camera_and_colour(sequence, name, text):
+    (sequence / name).write_text(text)
+    recording = open_dataset(sequence)
+    assert recording.camera == Camera(640, 480, 580.0, 581.0, 321.0, 241.0)
+    assert recording.registration_sigma_px == 0.0
+    raw = cv2.imread(str(next(sequence.glob("frame-000000.color.*"))))[..., ::-1]
+    np.testing.assert_array_equal(recording.color(0).numpy(), raw)

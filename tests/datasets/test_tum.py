@@ -6,6 +6,7 @@ from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation, Slerp
 from uncle.datasets import open_dataset
 from uncle.datasets.tum import CALIBRATIONS, associate
+from uncle.recon.core.camera import Camera
 from uncle.recon.core.errors import DataError
 
 START = 1305031100.0
@@ -115,7 +116,7 @@ def test_no_pose_in_a_wide_gap(write_sequence, pose_line):
     (note,) = [note for note in recording.notes if "2 of 3 frames have no usable pose (the first: frame 0: " in note]
     assert "before the first usable pose" in note
     assert any(
-        "1 of 6 poses cannot be used; the first: " in note and "line 1: its numbers" in note for note in recording.notes
+        "1 of 6 poses cannot be used (the first: " in note and "line 1: its numbers" in note for note in recording.notes
     )
 
 
@@ -204,3 +205,55 @@ def test_real_sequence_agrees_with_itself(shared_data):
     overlap = np.isfinite(distances)
     assert overlap.mean() > 0.5
     assert np.median(distances[overlap]) < 0.03
+
+
+@pytest.mark.parametrize("name", ["loft-fr-1st-floor", "freiburg1_copy", "my_fr2_desk"])
+def test_only_names_of_tum_decide_the_camera(write_sequence, name):
+    recording = open_dataset(write_sequence(name))
+    assert recording.camera.fx == 525.0
+    assert any("5000 depth units a metre are assumed" in note and "is that right?" in note for note in recording.notes)
+
+
+def test_the_note_names_camera_and_depth_scale(write_sequence):
+    notes = open_dataset(write_sequence()).notes
+    assert "the camera of freiburg1 and 5000 depth units a metre are assumed, by the name" in notes
+
+
+def test_depth_in_millimetres_is_questioned(write_sequence, room):
+    folder = write_sequence("desk", "3")
+    for path in (folder / "depth").iterdir():
+        room.write_depth(path, np.full((480, 640), 1.5), 1000.0)
+    assert any("median depth is 0.30 m then; with 1000 units it is 1.50 m" in n for n in open_dataset(folder).notes)
+
+
+@pytest.mark.parametrize("depth_first", [False, True])
+def test_associations_alone_are_enough(write_sequence, room, depth_first):
+    folder = write_sequence()
+    rows = [(folder / f"{name}.txt").read_text().splitlines()[1:] for name in ("rgb", "depth")]
+    lines = [f"{depth} {color}" if depth_first else f"{color} {depth}" for color, depth in zip(*rows, strict=True)]
+    (folder / "associations.txt").write_text("\n".join(lines))
+    for name in ("rgb", "depth"):
+        (folder / f"{name}.txt").unlink()
+    recording = open_dataset(folder)
+    assert (recording.format, len(recording)) == ("tum", 3)
+    room.check(recording)
+
+
+def test_lists_as_other_tools_write_them(write_sequence, room):
+    folder = write_sequence()
+    (folder / "rgb").rename(folder / "rgb images")
+    color = (folder / "rgb.txt").read_text().replace(" rgb/", ",rgb images\\").splitlines()
+    (folder / "rgb.txt").write_bytes("\r\n".join(["timestamp,filename", *color[1:]]).encode("utf-16"))
+    lines = [line.split() for line in (folder / "depth.txt").read_text().splitlines()[1:]]
+    (folder / "depth.txt").write_text("\n".join(f"{float(time) * 1e9:.0f} {name} 640 480" for time, name in lines))
+    recording = open_dataset(folder)
+    assert "time stamps of depth.txt are read as nanoseconds" in recording.notes
+    room.check(recording)
+
+
+def test_calibration_of_eth3d_replaces_the_camera_of_tum(write_sequence):
+    folder = write_sequence("sequence", "3")
+    (folder / "calibration.txt").write_text("500.5 501.5 310.25 245.75\n")
+    recording = open_dataset(folder)
+    assert recording.camera == Camera(640, 480, 500.5, 501.5, 310.25, 245.75)
+    assert any("calibration.txt, with 5000 depth units a metre" in note for note in recording.notes)

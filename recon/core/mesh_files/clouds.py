@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from ..errors import DataError
-from ..number_text import parse_numbers, parse_table, plain_text, separated
+from .number_text import parse_numbers, parse_table, plain_text, separated
 from .polygons import Polygons, pack
 
 _PCD_TYPES = {"F": "f", "I": "i", "U": "u"}

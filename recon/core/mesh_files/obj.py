@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from ..errors import DataError
-from ..number_text import parse_table, plain_text, separated
+from .number_text import parse_table, plain_text, separated
 from .polygons import Polygons
 
 # What describes neither the surface nor its colours of vertices.

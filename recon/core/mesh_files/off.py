@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from ..errors import DataError
-from ..number_text import parse_numbers, parse_table, plain_text
+from .number_text import parse_numbers, parse_table, plain_text
 from .polygons import Polygons
 
 MAX_COUNT = 1 << 40  # of vertices or faces; a larger number is damage

@@ -12,7 +12,7 @@ from typing import Protocol
 import numpy as np
 
 from ..errors import DataError
-from ..number_text import parse_numbers
+from .number_text import parse_numbers
 from .polygons import Polygons, pack, strip_triangles
 
 _TYPES = {

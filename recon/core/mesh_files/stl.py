@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from ..errors import DataError
-from ..number_text import parse_table, plain_text
+from .number_text import parse_table, plain_text
 from .polygons import Polygons, pack
 
 _HEADER, _FACET = 84, 50  # bytes

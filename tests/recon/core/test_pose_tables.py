@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 from uncle.recon.core.errors import DataError
-from uncle.recon.core.pose_tables import read_pose_table
+from uncle.recon.core.pose_tables import read_pose, read_pose_table
 
 COUNT = 6
 TIMES = 1_700_000_000.25 + 0.1 * np.arange(COUNT)
@@ -128,8 +128,11 @@ def test_poses_that_cannot_be_used_have_a_reason(tmp_path):
     rows[2] = f"{TIMES[2]} 0 0 0 0 0 0 0"
     rows[4] = f"{TIMES[4]} nan nan nan nan nan nan nan"
     (tmp_path / "a.tum").write_text("\n".join(rows))
-    poses = read_pose_table(tmp_path / "a.tum").poses
-    assert [pose.T_world_camera is None for pose in poses] == [False, True, True, False, True, False]
+    table = read_pose_table(tmp_path / "a.tum")
+    poses = table.poses
+    assert np.isnan(table.T_world_camera).all(axis=(1, 2)).tolist() == [False, True, True, False, True, False]
+    assert len(table.remarks) == 1
+    assert table.remarks[0].startswith("3 of 6 poses cannot be used (the first: ")
     for index, reason in ((1, "too large"), (2, "has the length 0"), (4, "not finite")):
         assert f"a.tum, line {index + 1}: " in poses[index].remark
         assert reason in poses[index].remark
@@ -155,6 +158,8 @@ def test_matrices_that_are_no_poses_have_a_reason(tmp_path, row):
         (SECONDS["tum"] + "1 2 3\n", "line 7: expected poses"),
         (SECONDS["tum"].replace("1.5", "x"), "is no number"),
         ("1 0 0 0 0.5 0.1 0 0\n2 0 0 0 0.5 0.1 0 0\n", "no four of its numbers are a unit quaternion"),
+        ("2 0 0 0 0 2 0 0 0 0 2 0\n" * 3, "none of the 3 poses of .* can be used"),
+        ("nan " * 12, "line 1: its numbers are not finite"),
         ("VERTEX_SE2 0 1 2 3\n", "a graph without poses in space"),
         ("VERTEX_SE3:QUAT 0 1 2 3\n", "line 1: expected 8 numbers"),
     ],
@@ -171,3 +176,54 @@ def test_motions_between_pairs_of_frames_are_no_trajectory(tmp_path):
     (tmp_path / "pairs.log").write_text("".join(f"0 {i} 9\n{matrix}" for i in range(1, 4)))
     with pytest.raises(DataError, match="motions between pairs of frames are no trajectory"):
         read_pose_table(tmp_path / "pairs.log")
+
+
+def one_pose(kind: str) -> str:
+    """The fourth of `POSES` as the text of a file of its own."""
+    pose = POSES[3]
+    rows = [" ".join(f"{value:.9f}" for value in row) for row in pose]
+    return {
+        "4x4": "\n".join(rows),
+        "3x4": "\n".join(rows[:3]),
+        "one line": " ".join(rows),
+        "12 numbers": " ".join(rows[:3]),
+        "decimal comma": "\r\n".join(rows).replace(".", ","),
+        "csv": "\n".join(row.replace(" ", ",") for row in rows),
+        "semicolons": "\n".join(row.replace(".", ",").replace(" ", ";") for row in rows),
+        "brackets": str(pose.tolist()),
+        "fortran": "\n".join(" ".join(f"{value:.9E}".replace("E", "D") for value in row) for row in pose),
+        "byte order mark": "\ufeff" + "\n".join(rows),
+        "comment": "# camera to world\n" + "\n".join(rows) + "\n\n",
+        "transposed": block(pose.T),
+        "quaternion": " ".join(map(str, [*XYZ[3], *QUATERNIONS[3]])),
+        "quaternion first": " ".join(map(str, [*W_FIRST[3], *XYZ[3]])),
+    }[kind]
+
+
+MATRICES = ["4x4", "3x4", "one line", "12 numbers", "decimal comma", "csv", "semicolons", "brackets", "fortran"]
+
+
+@pytest.mark.parametrize("encoding", ["utf-8", "utf-16"])
+@pytest.mark.parametrize(
+    "kind", [*MATRICES, "byte order mark", "comment", "transposed", "quaternion", "quaternion first"]
+)
+def test_a_file_of_one_pose(tmp_path, kind, encoding):
+    (tmp_path / "p.txt").write_bytes(one_pose(kind).encode(encoding))
+    pose = read_pose(tmp_path / "p.txt")
+    np.testing.assert_allclose(pose.T_world_camera, POSES[3], atol=1e-6)
+
+
+def test_a_file_of_anything_else_has_its_reason(tmp_path):
+    (tmp_path / "p.txt").write_text("1 2 3\n")
+    pose = read_pose(tmp_path / "p.txt")
+    assert pose.T_world_camera is None
+    assert "p.txt, line 1: expected a 4x4 or 3x4 matrix" in pose.remark
+
+
+def test_the_identity_at_the_start_tells_the_order_of_a_quaternion(tmp_path):
+    start = np.array([0.0, 0, 0, 1, 0, 0, 0])
+    rows = [start, *np.hstack([XYZ, W_FIRST])]
+    (tmp_path / "t.txt").write_text("".join(" ".join(map(str, [i, *row])) + "\n" for i, row in enumerate(rows)))
+    table = read_pose_table(tmp_path / "t.txt")
+    np.testing.assert_allclose(table.T_world_camera, [np.eye(4), *POSES], atol=1e-6)
+    assert "the identity" in table.notes[0]
