@@ -109,6 +109,12 @@ def handheld_path(free: FreeSpace, frames: int, rng: np.random.Generator, loops:
     )
 
 
+def walk(stations: np.ndarray, frames: int, rng: np.random.Generator) -> np.ndarray:
+    """(frames, 4, 4) T_world_camera along stations (K, 5) x, y, z, yaw, pitch, from the first to the last, at an even
+    pace with the shake of a hand."""
+    return _poses(_shaken(_resample(_curve(stations), np.linspace(0, 1, frames), stretch=True), rng))
+
+
 def _next_waypoint(free: FreeSpace, start: np.ndarray, rng: np.random.Generator) -> np.ndarray | None:
     """A free point (3,) that can be reached in a straight line."""
     for _ in range(30):

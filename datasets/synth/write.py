@@ -20,13 +20,16 @@ from ...recon.core.files import DEPTH_UNITS_PER_M, encode_metres, explain_write_
 from ..poses import OPENGL_TO_OPENCV, Z_UP_FROM_Y_UP
 from . import sensors as active
 from . import stereo
-from .path import CLEARANCE_M, FreeSpace, handheld_path
+from .corridor import corridor, corridor_stations
+from .path import CLEARANCE_M, FreeSpace, handheld_path, walk
 from .render import Renderer
 from .room import furnished_room
+from .scene import Scene
 from .seen import SeenSurface
 from .user_mesh import load_scene
 
 BASELINE_M = 0.1
+MIN_CORRIDOR_M, MAX_CORRIDOR_M = 5.0, 1000.0
 _COLOR_NOISE = 1.2  # levels of 255, each eye on its own
 
 
@@ -69,6 +72,7 @@ class SynthOptions:
     mesh, up   the user's mesh instead of the synthetic room, and which of its axes ("z", "y") points up
     sensors    names of `SENSOR_NAMES`; true depth is always written
     loops      how often the path comes back to where it began
+    corridor_m length of a corridor instead of the synthetic room, metres; the frames are spread evenly over it
     """
 
     frames: int = 130
@@ -78,6 +82,7 @@ class SynthOptions:
     up: str = "z"
     sensors: Sequence[str] = ("sl", "sgm")
     loops: int = 0
+    corridor_m: float = 0.0
 
     def __post_init__(self) -> None:
         """Check the ranges."""
@@ -88,6 +93,10 @@ class SynthOptions:
         if self.loops < 0 or (self.loops and self.frames < 12 * self.loops + 1):
             least = 12 * max(self.loops, 0) + 1
             raise ConfigError(f"{self.loops} loops need at least {least} frames, not {self.frames}")
+        if self.corridor_m and not MIN_CORRIDOR_M <= self.corridor_m <= MAX_CORRIDOR_M:
+            raise ConfigError(f"a corridor is {MIN_CORRIDOR_M:g} to {MAX_CORRIDOR_M:g} m long, not {self.corridor_m:g}")
+        if self.corridor_m and (self.mesh is not None or self.loops):
+            raise ConfigError("a corridor can be combined neither with a mesh nor with loops")
         if self.up not in ("z", "y"):
             raise ConfigError(f"up must be z or y, not {self.up!r}")
 
@@ -97,16 +106,15 @@ def make_dataset(
 ) -> Path:
     """Write a data set to `out` and return it. Raises ConfigError, DataError and RunError."""
     options = options or SynthOptions()
-    frames, seed, mesh = options.frames, options.seed, options.mesh
+    frames, seed = options.frames, options.seed
     chosen = _chosen_sensors(options.sensors)
     out = Path(out)
     _check_free(out, overwrite)
-    scene = load_scene(mesh, options.up) if mesh is not None else furnished_room(seed)
+    scene = _scene(options)
     camera = square_camera(options.size_px)
-    on_event(Note(f"scene: {mesh if mesh is not None else ', '.join(scene.contents)}"))
+    on_event(Note(f"scene: {options.mesh if options.mesh is not None else ', '.join(scene.contents)}"))
     renderer = Renderer(scene, camera, np.random.default_rng([seed, 2]))
-    free = FreeSpace.find(renderer.raycaster, *scene.bounds)
-    poses = handheld_path(free, frames, np.random.default_rng([seed, 3]), options.loops)
+    poses = _path(options, renderer)
     _clear(out)
     recorder = _Recorder(out / "1", renderer, camera, chosen, seed)
     surface = SeenSurface(renderer)
@@ -123,6 +131,21 @@ def make_dataset(
     facts = _facts(options, chosen, scene.contents)
     write_text(out / "synth.json", json.dumps(facts, indent=2) + "\n")  # last: it says that the data set is whole
     return out
+
+
+def _scene(options: SynthOptions) -> Scene:
+    if options.mesh is not None:
+        return load_scene(options.mesh, options.up)
+    return corridor(options.corridor_m, options.seed) if options.corridor_m else furnished_room(options.seed)
+
+
+def _path(options: SynthOptions, renderer: Renderer) -> np.ndarray:
+    """(F, 4, 4) T_world_camera of all frames."""
+    rng = np.random.default_rng([options.seed, 3])
+    if options.corridor_m:
+        return walk(corridor_stations(options.corridor_m, rng), options.frames, rng)
+    free = FreeSpace.find(renderer.raycaster, *renderer.scene.bounds)
+    return handheld_path(free, options.frames, rng, options.loops)
 
 
 def _record(recorder: _Recorder, poses: np.ndarray, index: int) -> int:
@@ -224,16 +247,19 @@ def _clear(out: Path) -> None:
 
 def _facts(options: SynthOptions, chosen: Sequence[str], contents: Sequence[str]) -> dict[str, object]:
     mesh = options.mesh
+    kind = "user mesh" if mesh is not None else "procedural corridor" if options.corridor_m else "procedural room"
+    path = "walk with hand shake" if options.corridor_m else "spline through random waypoints with hand shake"
     return {
         "made_by": "uncle synth: rendered images and simulated sensors, not a recording",
         "layout": "SenFuNet-Replica",
         "parameters": {
             "frames": options.frames, "size_px": options.size_px, "seed": options.seed, "loops": options.loops,
             "mesh": str(mesh) if mesh is not None else None, "up": options.up,
+            **({"corridor_m": options.corridor_m} if options.corridor_m else {}),
         },
-        "scene": {"kind": "user mesh" if mesh is not None else "procedural room", "contents": list(contents)},
+        "scene": {"kind": kind, "contents": list(contents)},
         "camera": square_camera(options.size_px).to_dict() | {"stereo_baseline_m": BASELINE_M},
-        "path": {"kind": "spline through random waypoints with hand shake", "clearance_m": CLEARANCE_M},
+        "path": {"kind": path, "clearance_m": CLEARANCE_M},
         "color": {"noise_sigma_levels": _COLOR_NOISE, "shading": "diffuse; no highlights, no motion blur"},
         "sensors": {"left_depth_gt": "exact depth, rounded to millimetres"}
         | {SENSORS[name].folder: f"{name}: {SENSORS[name].model}" for name in chosen},

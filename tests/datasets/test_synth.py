@@ -10,7 +10,8 @@ import pytest
 from click.testing import CliRunner
 from uncle.cli.main import main
 from uncle.datasets import senfunet
-from uncle.datasets.synth.path import CLEARANCE_M, MAX_STEP_M, MAX_TURN_DEG, FreeSpace, handheld_path
+from uncle.datasets.synth.corridor import HEIGHT_M, corridor, corridor_stations
+from uncle.datasets.synth.path import CLEARANCE_M, MAX_STEP_M, MAX_TURN_DEG, FreeSpace, handheld_path, walk
 from uncle.datasets.synth.render import Renderer
 from uncle.datasets.synth.room import furnished_room
 from uncle.datasets.synth.seen import subdivide
@@ -193,6 +194,20 @@ def test_a_long_path_looks_all_around(room):
     assert len(sectors) >= 5
 
 
+def test_a_corridor_is_closed_and_is_walked_from_end_to_end_clear_of_its_walls():
+    renderer = Renderer(corridor(60.0, 0), square_camera(32), np.random.default_rng(0))
+    low, high = renderer.scene.bounds
+    np.testing.assert_allclose(high - low, [32.0, 32.0, HEIGHT_M], atol=0.01)  # 30 m to the east, 30 m to the north
+    poses = walk(corridor_stations(60.0, np.random.default_rng(1)), 120, np.random.default_rng(2))
+    steps = np.linalg.norm(np.diff(poses[:, :3, 3], axis=0), axis=1)
+    assert 54 < steps.sum() < 60
+    assert steps.max() < 1.5 * np.median(steps)
+    np.testing.assert_allclose(poses[:, :3, :3] @ poses[:, :3, :3].transpose(0, 2, 1), np.eye(3)[None].repeat(120, 0),
+                               atol=1e-9)  # fmt: skip
+    assert FreeSpace(poses[:, :3, 3], renderer.raycaster, CLEARANCE_M).clear(poses[:, :3, 3])
+    assert all((renderer.render(pose).depth > 0).all() for pose in poses[::12])
+
+
 def test_loops_come_back_to_the_start(room):
     free = FreeSpace.find(room.raycaster, *room.scene.bounds)
     poses = handheld_path(free, 121, np.random.default_rng(6), loops=3)
@@ -336,6 +351,8 @@ def test_overwrite_removes_the_old_data_set_and_nothing_else(tmp_path, made):
         ({"size_px": 8}, "size"),
         ({"frames": 10, "loops": 2}, "25 frames"),
         ({"up": "x"}, "up"),
+        ({"corridor_m": 2.0}, "5 to 1000 m"),
+        ({"corridor_m": 20.0, "loops": 1}, "neither"),
     ],
 )
 def test_bad_settings_are_named(tmp_path, arguments, message):
@@ -355,6 +372,14 @@ def test_command_makes_a_data_set(tmp_path):
     assert again.exit_code == 1
     assert "--overwrite" in again.output
     assert "Traceback" not in again.output
+
+
+def test_command_makes_a_corridor(tmp_path):
+    arguments = ["synth", str(tmp_path / "out"), "--corridor", "8", "--frames", "2", "--size", "32", "--sensors", "sl"]
+    assert CliRunner().invoke(main, arguments).exit_code == 0
+    facts = json.loads((tmp_path / "out" / "synth.json").read_text())
+    assert facts["parameters"]["corridor_m"] == 8
+    assert facts["scene"]["kind"] == "procedural corridor"
 
 
 def test_command_uses_a_mesh_of_the_user(tmp_path):
