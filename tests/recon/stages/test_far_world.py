@@ -1,6 +1,7 @@
 """The whole chain on a room in map coordinates (UTM): the same results as at the origin, in the world of the data."""
 
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -20,7 +21,9 @@ from uncle.recon.stages.map import map_run
 from uncle.recon.stages.mesh import mesh_run
 from uncle.recon.stages.preprocess import preprocess_run
 from uncle.recon.stages.report import report_run
-from uncle.recon.stages.snapshot import snapshot_file
+from uncle.recon.stages.snapshot import SnapshotSettings, snapshot_file
+from uncle.recon.visualization import report_sections
+from uncle.recon.visualization.mesh_pictures import snapshot_views
 
 UTM = np.array([500_123.25, 4_512_340.5, 131.125])
 OFFSET = (500_130.0, 4_512_340.0, 130.0)
@@ -124,11 +127,13 @@ def test_files_far_away_are_scored_and_drawn_without_a_run(runs, tmp_path):
         metrics = evaluate_mesh_file(far.mesh_path, reference, SETTINGS, cull=cull, error_mesh=tmp_path / "error.ply")
         assert metrics.mesh.accuracy_mean_m < 0.01
     assert np.linalg.norm(np.subtract(Mesh.load(tmp_path / "error.ply").offset_m, UTM)) < 20
-    assert snapshot_file(far.mesh_path, tmp_path / "pictures", far, reference)
+    small = SnapshotSettings(size=(64, 48), renderer="raycast")
+    assert snapshot_file(far.mesh_path, tmp_path / "pictures", far, reference, settings=small)
 
 
-def test_the_report_of_a_world_far_away_is_whole(runs):
+def test_the_report_of_a_world_far_away_is_whole(runs, monkeypatch):
     _, (far, _) = runs
+    monkeypatch.setattr(report_sections, "snapshot_views", partial(snapshot_views, size=(64, 48)))
     evaluate_run(far, SETTINGS)
     events = []
     report_run(far, "raycast", events.append)
