@@ -16,6 +16,7 @@ import sys
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -91,13 +92,15 @@ class Undisturbed:
         run = self.folder / f"frames-{frames}-seed-{seed}"
         if not (run / "done").exists():
             shutil.rmtree(run, ignore_errors=True)
-            seconds = [uncle(*self.command(s, run, frames if s == "preprocess" else seed)) for s in STAGES]
-            (run / "done").write_text(" ".join(map(str, seconds)))
+            for stage in STAGES:
+                uncle(*self.command(stage, run, frames if stage == "preprocess" else seed))
+            (run / "done").touch()
         return run
 
-    def usual_s(self, stage: str) -> float:
-        """Seconds that a command takes."""
-        return float((self.run(0, 0) / "done").read_text().split()[STAGES.index(stage)])
+    def seconds(self, run: Path) -> dict[str, float]:
+        """What each command takes at present, in a new run: an earlier measurement would be of another load."""
+        shutil.rmtree(run, ignore_errors=True)
+        return {stage: uncle(*self.command(stage, run, 0)) for stage in STAGES}
 
     def digests(self, frames: int, seed: int) -> dict[str, str]:
         """`digests` of the run."""
@@ -183,8 +186,8 @@ class Ended(NamedTuple):
         return self.code <= 0 or (self.line.startswith("Error: ") and any(text in self.line for text in REFUSED))
 
 
-def disturb(job: Job, run: Path, undisturbed: Undisturbed) -> tuple[Ended, Ended]:
-    """Run both commands and kill one; how they ended."""
+def disturb(job: Job, run: Path, undisturbed: Undisturbed, usual_s: dict[str, float]) -> tuple[Ended, Ended, bool]:
+    """Run both commands and kill one; how they ended, and whether both ran at one time."""
     began, children, logs = time.monotonic(), [], []
     kill_at = None
 
@@ -196,15 +199,17 @@ def disturb(job: Job, run: Path, undisturbed: Undisturbed) -> tuple[Ended, Ended
                                              stdout=subprocess.DEVNULL, stderr=file))  # fmt: skip
         logs.append(log)
 
-    starts_at = job.second_after * undisturbed.usual_s(job.first)
+    starts_at = job.second_after * usual_s[job.first]
     if job.killed:
         own = job.first if job.killed == "first" else job.second
-        kill_at = (starts_at if job.killed == "second" else 0.0) + job.kill_after * undisturbed.usual_s(own)
+        kill_at = (starts_at if job.killed == "second" else 0.0) + job.kill_after * usual_s[own]
     ended: dict[int, float] = {}
+    overlapped = False
     start(job.first, 1)
     while len(children) < 2 or len(ended) < 2 or kill_at is not None:
         passed = time.monotonic() - began
         if len(children) < 2 and passed >= starts_at:
+            overlapped = 0 not in ended
             start(job.second, 2, *(["--wait"] if job.waits else []))
         victim = ("first", "second").index(job.killed) if job.killed else 0
         if kill_at is not None and passed >= kill_at and victim < len(children):
@@ -219,7 +224,7 @@ def disturb(job: Job, run: Path, undisturbed: Undisturbed) -> tuple[Ended, Ended
         time.sleep(0.005)
     lines = [(log.read_text(errors="replace").strip().splitlines() or [""])[-1] for log in logs]
     first, second = (Ended(child.returncode, ended[k], lines[k]) for k, child in enumerate(children))
-    return first, second
+    return first, second, overlapped
 
 
 def made_by(stage: str, commands: Sequence[tuple[str, int, Ended]], before: int) -> set[int]:
@@ -229,12 +234,12 @@ def made_by(stage: str, commands: Sequence[tuple[str, int, Ended]], before: int)
     return killed | {well[-1][1] if well else before}
 
 
-def execute(job: Job, undisturbed: Undisturbed, work: Path) -> Record:
+def execute(job: Job, undisturbed: Undisturbed, usual_s: dict[str, float], work: Path) -> Record:
     """Disturb a run and finish it. Raises RunError."""
     run = work / "run"
     shutil.rmtree(work, ignore_errors=True)
     shutil.copytree(undisturbed.run(0, 0), run)
-    first, second = disturb(job, run, undisturbed)
+    first, second, overlapped = disturb(job, run, undisturbed, usual_s)
     commands = [(job.first, 1, first), (job.second, 2, second)]
     found = state(run, undisturbed)
     faults = [f"{stage}: {ended.line}" for stage, _, ended in commands if not ended.is_right]
@@ -248,7 +253,7 @@ def execute(job: Job, undisturbed: Undisturbed, work: Path) -> Record:
     faults += [f"{name} differs in the end" for name in different(run, undisturbed.digests(*wanted), STAGES)]
     return job._asdict() | {
         "first_ended": str(first), "second_ended": str(second), "found": str(found), "faults": faults,
-        "finished": f"frames {wanted[0]}, map {wanted[1]}, mesh",
+        "overlapped": overlapped, "finished": f"frames {wanted[0]}, map {wanted[1]}, mesh",
     }  # fmt: skip
 
 
@@ -266,7 +271,7 @@ def finish(
 
 def markdown(records: Sequence[Record]) -> str:
     """One row for each pair of commands."""
-    header = ["", "first", "second", "starts at %", "killed", "at %", "first ended", "second ended", "the run then has",
+    header = ["", "first", "second", "starts at %", "both ran", "to kill", "at %", "first ended", "second ended", "the run then has",
               "in the end", "faults"]  # fmt: skip
     rows = []
     for record in records:
@@ -274,7 +279,16 @@ def markdown(records: Sequence[Record]) -> str:
         kill = [record["killed"], f"{100 * record['kill_after']:.0f}" if record["killed"] else ""]
         end = [record[name] for name in ("first_ended", "second_ended", "found", "finished")]
         faults = "; ".join(record["faults"]) or "none"
-        rows.append([*begin, f"{100 * record['second_after']:.0f}", *kill, *end, faults])
+        rows.append(
+            [
+                *begin,
+                f"{100 * record['second_after']:.0f}",
+                "yes" if record["overlapped"] else "no",
+                *kill,
+                *end,
+                faults,
+            ]
+        )
     return "\n".join(markdown_table(header, rows))
 
 
@@ -296,14 +310,21 @@ def main(arguments: Sequence[str] | None = None) -> int:
     undisturbed = Undisturbed(options.dataset.resolve(), folder / "undisturbed", tuple(options.map_options))
     jobs = plan(options.moments, options.seed)
     options.out.mkdir(parents=True, exist_ok=True)
+    usual_s = undisturbed.seconds(folder / "timing")
+    once = partial(execute, undisturbed=undisturbed, usual_s=usual_s, work=folder / "work")
     records, failed = carry_out(
-        jobs, options.out / "interruptions.json", lambda job: execute(job, undisturbed, folder / "work"),
-        lambda job, record: True,
-    )  # fmt: skip
+        jobs, options.out / "interruptions.json", once, lambda job, record: "overlapped" in record
+    )
     done = [records[job.key] for job in jobs if job.key in records]
     print(markdown(done))
     faulty = [record for record in done if record["faults"]]
-    print(f"\n{len(done) - len(faulty)} of {len(jobs)} end as an undisturbed run, never with a mixture")
+    both, killed = (
+        sum(r["overlapped"] for r in done),
+        sum("killed" in (r["first_ended"], r["second_ended"]) for r in done),
+    )
+    print(
+        f"\n{len(done) - len(faulty)} of {len(jobs)} without fault; in {both} both ran at one time, in {killed} one was killed"
+    )
     return 1 if failed or faulty else 0
 
 
