@@ -271,8 +271,8 @@ def finish(
 
 def markdown(records: Sequence[Record]) -> str:
     """One row for each pair of commands."""
-    header = ["", "first", "second", "starts at %", "both ran", "to kill", "at %", "first ended", "second ended", "the run then has",
-              "in the end", "faults"]  # fmt: skip
+    header = ["", "first", "second", "starts at %", "both ran", "to kill", "at %", "first ended", "second ended"]
+    header += ["the run then has", "in the end", "faults"]
     rows = []
     for record in records:
         begin = [str(record["number"]), record["first"], record["second"] + " --wait" * record["waits"]]
@@ -323,7 +323,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         sum("killed" in (r["first_ended"], r["second_ended"]) for r in done),
     )
     print(
-        f"\n{len(done) - len(faulty)} of {len(jobs)} without fault; in {both} both ran at one time, in {killed} one was killed"
+        f"\n{len(done) - len(faulty)} of {len(jobs)} without fault; "
+        f"in {both} both ran at one time, in {killed} one was killed"
     )
     return 1 if failed or faulty else 0
 
