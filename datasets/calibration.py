@@ -11,6 +11,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_valida
 
 from ..recon.core.camera import Camera
 from ..recon.core.errors import DataError
+from ..recon.core.json_values import first_problem
 from ..recon.core.pose import usable_pose
 from ..recon.core.text import read_text
 
@@ -147,10 +148,7 @@ class CameraFile(CameraFields):
         try:
             file = CameraFile.model_validate_json(read_text(path))
         except ValidationError as error:
-            first = error.errors()[0]
-            where = ".".join(str(part) for part in first["loc"]) or "the file"
-            what = first["msg"].removeprefix("Value error, ")
-            raise DataError(f"{path}: {where}: {what} (fields are described in docs/data-formats.md)") from error
+            raise DataError(f"{path}: {first_problem(error)} (fields are described in docs/data-formats.md)") from error
         return file
 
     def calibration(self, depth_units_per_m: float = 1000.0) -> Calibration:

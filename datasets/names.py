@@ -15,7 +15,7 @@ T = TypeVar("T")
 def natural_key(name: str, number: str = _DECIMAL) -> tuple[tuple[Decimal, str], ...]:
     """Sort key by which `frame2` precedes `frame10`, and `1.25` precedes `1.5` precedes `10.25`."""
     parts = re.findall(rf"{number}|\D+|\d", name, re.ASCII)
-    return tuple((Decimal(part), "") if part[0].isdecimal() else (Decimal(-1), part) for part in parts)
+    return tuple((Decimal(part), "") if "0" <= part[0] <= "9" else (Decimal(-1), part) for part in parts)
 
 
 def sorted_names(names: Iterable[str]) -> list[str]:

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import logging
-import zipfile
 from pathlib import Path
 
 import cv2
 import numpy as np
 
+from .array_files import archive_sizes, read_npy, read_npz
 from .errors import DataError
-from .files import read_image
+from .files import read_image, require_file
 
 DEPTH_SUFFIXES = (".png", ".tif", ".tiff", ".pgm", ".exr", ".npy", ".npz", ".pfm")
 SATURATED = 65535  # the largest value of a 16-bit depth image never is a reading; Kinect recordings mark holes by it
@@ -71,6 +71,7 @@ def _read_tiff(path: Path) -> np.ndarray:
 
         logging.getLogger("tifffile").setLevel(logging.CRITICAL)  # it would report what is raised anyway
         try:
+            require_file(path)
             return np.asarray(tifffile.imread(path, key=0))
         except Exception as error:  # of many types, for a file that is damaged
             raise DataError(f"cannot read {path}: not a whole TIFF image") from error
@@ -78,36 +79,31 @@ def _read_tiff(path: Path) -> np.ndarray:
 
 def _read_npy(path: Path) -> np.ndarray:
     try:
-        array = np.load(path, allow_pickle=False)
+        return read_npy(path)
     except Exception as error:  # of many types, for a header that is damaged
         raise DataError(f"cannot read {path}: not a whole NPY file of numbers ({error})") from error
-    if not isinstance(array, np.ndarray):
-        raise DataError(f"cannot read {path}: it is an archive; call it .npz")
-    return array
 
 
 def _read_npz(path: Path) -> np.ndarray:
     try:
-        with zipfile.ZipFile(path) as archive:
-            sizes = {entry.filename.removesuffix(".npy"): entry.file_size for entry in archive.infolist()}
+        sizes = archive_sizes(path)
         name = next(iter(sizes)) if len(sizes) == 1 else "depth"
         if name not in sizes:
             raise DataError(f"{path} holds {', '.join(sorted(sizes)) or 'nothing'}; call the array of depth `depth`")
         if sizes[name] > MAX_ARRAY_BYTES:
             raise DataError(f"{path}: {name} has {sizes[name]} bytes unpacked, which is no image")
-        with np.load(path, allow_pickle=False) as arrays:
-            array: np.ndarray = arrays[name]
+        return read_npz(path, name)[name]
     except DataError:
         raise
     except Exception as error:  # of many types, for an archive or a header that is damaged
         raise DataError(f"cannot read {path}: not a whole NPZ file of numbers ({error})") from error
-    return array
 
 
 def _read_exr(path: Path) -> np.ndarray:
     import OpenEXR  # wheels of OpenCV are built without it
 
     try:
+        require_file(path)
         with OpenEXR.File(str(path)) as file:
             channels = {name: channel.pixels for name, channel in file.channels().items()}
     except (OSError, RuntimeError, ValueError, TypeError, MemoryError) as error:

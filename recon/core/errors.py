@@ -6,7 +6,19 @@ with code 1; any other exception is a defect of the program and keeps its traceb
 
 
 class UncleError(Exception):
-    """Base of every error that is meant to reach a person."""
+    """Base of every error that is meant to reach a person. Its text is one line."""
+
+    def __str__(self) -> str:
+        return one_line(super().__str__())
+
+
+def one_line(text: str) -> str:
+    """`text` with line ends and other control characters, which names of files can hold, written as escapes."""
+    if text.isprintable():
+        return text
+    return "".join(
+        letter if letter.isprintable() else letter.encode("unicode_escape").decode("ascii") for letter in text
+    )
 
 
 class DataError(UncleError):

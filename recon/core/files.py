@@ -1,10 +1,13 @@
 """Files that are either whole or absent: everything is written beside its place and renamed into it."""
 
 import errno
+import json
 import os
+import stat
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -55,6 +58,30 @@ def atomic_path(path: Path) -> Iterator[Path]:
                 temporary.unlink()
 
 
+def require_file(path: Path) -> None:
+    """Raises OSError unless `path` is a file or a folder: a pipe can make a reader wait, a device has no end."""
+    try:
+        mode = path.stat().st_mode
+    except ValueError as error:  # a zero character in the name
+        raise OSError(errno.EINVAL, "no file can have this name", str(path)) from error
+    if not stat.S_ISREG(mode) and not stat.S_ISDIR(mode):
+        raise OSError(errno.EINVAL, "it is a pipe or a device; save its content to a file", str(path))
+
+
+def read_bytes(path: Path) -> bytes:
+    """The content of a file. Raises OSError, also for pipes and devices."""
+    require_file(path)
+    return path.read_bytes()
+
+
+def read_json(path: Path) -> Any:
+    """The value of a JSON file in UTF-8. Raises OSError; ValueError for anything else."""
+    try:
+        return json.loads(read_bytes(path))
+    except RecursionError as error:
+        raise ValueError("its brackets are nested too deeply") from error
+
+
 def write_bytes(path: Path, data: bytes) -> None:
     """Write `data` to `path` in one piece. Raises RunError."""
     with atomic_path(path) as temporary:
@@ -81,11 +108,11 @@ def write_image(path: Path, image: np.ndarray, *, png_level: int = 1, jpeg_quali
 def read_image(path: Path, flags: int) -> np.ndarray:
     """(H, W) or (H, W, 3) RGB, as OpenCV reads it with `flags`. Raises DataError if it is missing or broken."""
     try:
-        data = np.fromfile(path, dtype=np.uint8)
+        data = read_bytes(path)
     except OSError as error:
         raise DataError(f"cannot read {path}: {error.strerror}") from error
     try:
-        image = cv2.imdecode(data, flags) if _is_whole(data.tobytes()) else None
+        image = cv2.imdecode(np.frombuffer(data, np.uint8), flags) if _is_whole(data) else None
     except cv2.error:  # a size that no image has, for example
         image = None
     if image is None:

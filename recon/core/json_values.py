@@ -6,6 +6,8 @@ import dataclasses
 import math
 from typing import Any
 
+from pydantic import ValidationError
+
 
 def to_plain(value: Any) -> Any:
     """Nested dataclasses, tuples and numbers as JSON can hold them; what is not finite becomes None."""
@@ -18,3 +20,12 @@ def to_plain(value: Any) -> Any:
     if isinstance(value, float) and not math.isfinite(value):
         return None
     return value
+
+
+def first_problem(error: Exception) -> str:
+    """One line on why a value does not fit its model (pydantic lists all reasons), or on any other error."""
+    if not isinstance(error, ValidationError):
+        return " ".join(str(error).split())
+    first = error.errors()[0]
+    where = ".".join(str(part) for part in first["loc"]) or "the file"
+    return f"{where}: {first['msg'].removeprefix('Value error, ')}"

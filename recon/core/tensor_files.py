@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import zipfile
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -9,7 +11,7 @@ from typing import Any
 import torch
 
 from .errors import ConfigError, RunError
-from .files import atomic_path
+from .files import atomic_path, require_file
 
 
 def save_tensors(path: Path, state: dict[str, Any]) -> None:
@@ -21,15 +23,54 @@ def save_tensors(path: Path, state: dict[str, Any]) -> None:
             raise error.__context__ if isinstance(error.__context__, OSError) else error from None
 
 
+def read_tensors(path: Path, device: torch.device | str = "cpu", also: Sequence[Any] = ()) -> object:
+    """Tensors and plain values of a file of `torch.save`, and of the types `also`; never runs code from the file.
+
+    Raises OSError, pickle.UnpicklingError for other types; another error if it is damaged or takes more memory than it
+    has bytes.
+    """
+    require_file(path)
+    if zipfile.is_zipfile(path):
+        with zipfile.ZipFile(path) as archive:
+            if any(entry.compress_type != zipfile.ZIP_STORED for entry in archive.infolist()):
+                raise ValueError("PyTorch writes no compressed files")
+    with torch.serialization.safe_globals(list(also)):
+        content: object = torch.load(path, map_location=device, weights_only=True)
+    pending = [content]
+    while pending:
+        value = pending.pop()
+        if isinstance(value, dict):
+            pending += value.values()
+        elif isinstance(value, list | tuple):
+            pending += value
+        elif isinstance(value, torch.Tensor):
+            _require_plain(value)
+    return content
+
+
+def _require_plain(tensor: torch.Tensor) -> None:
+    """Raises ValueError for a tensor that names more values than it stores."""
+    if tensor.layout != torch.strided or tensor.is_quantized:
+        raise ValueError("a tensor is sparse or quantised")
+    if tensor.numel() * tensor.element_size() > tensor.untyped_storage().nbytes():
+        raise ValueError(f"a tensor of {tuple(tensor.shape)} repeats a few values")
+
+
 def load_tensors(path: Path, device: torch.device | str = "cpu") -> dict[str, Any]:
     """Read what `save_tensors` wrote; never runs code from the file. Raises RunError."""
     try:
-        state: dict[str, Any] = torch.load(path, map_location=device, weights_only=True)
+        state = read_tensors(path, device)
     except FileNotFoundError as error:
         raise RunError(f"there is no {path}; run `uncle map` first") from error
     except Exception as error:
-        raise RunError(f"cannot read {path}: it is damaged; redo it with `uncle map --overwrite`") from error
+        raise _damaged(path) from error
+    if not isinstance(state, dict):
+        raise _damaged(path)
     return state
+
+
+def _damaged(path: Path) -> RunError:
+    return RunError(f"cannot read {path}: it is damaged; redo it with `uncle map --overwrite`")
 
 
 @dataclass(frozen=True)

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from .errors import DataError
+from .files import read_bytes
 
 _MARKS = (  # UTF-32 first: its mark begins with that of UTF-16
     (b"\xff\xfe\x00\x00", "utf-32"),
@@ -59,7 +60,7 @@ class NumberTable:
 def read_text(path: Path) -> str:
     """The text of a file in UTF-8, UTF-16, UTF-32 or Latin-1, without byte order mark. Raises DataError."""
     try:
-        data = path.read_bytes()
+        data = read_bytes(path)
     except OSError as error:
         raise DataError(f"cannot read {path}: {error.strerror}") from error
     try:

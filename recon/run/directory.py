@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 import time
 from collections.abc import Sequence
@@ -13,7 +12,8 @@ from pydantic import ValidationError
 
 from ..core.camera import Camera
 from ..core.errors import RunError
-from ..core.files import write_text
+from ..core.files import read_json, write_text
+from ..core.json_values import first_problem
 from ..core.trajectory import Trajectory
 from .manifest import SCHEMA_VERSION, Manifest, StageRecord, config_hash, library_versions
 
@@ -137,12 +137,12 @@ class RunDirectory:
     def load_manifest(self) -> Manifest:
         """Read `manifest.json`. Raises RunError if there is no run here, or one of another schema."""
         try:
-            content = json.loads(self.manifest_path.read_text())
+            content = read_json(self.manifest_path)
         except FileNotFoundError as error:
             raise RunError(
                 f"{self.root} holds no run; make one with `uncle preprocess DATASET --run {self.root}`"
             ) from error
-        except (OSError, json.JSONDecodeError) as error:
+        except (OSError, ValueError) as error:
             raise RunError(f"cannot read {self.manifest_path}: {error}") from error
         redo = f"redo it with `uncle preprocess {_dataset_of(content)} --overwrite --run {self.root}`"
         schema = content.get("schema_version") if isinstance(content, dict) else None
@@ -153,7 +153,7 @@ class RunDirectory:
         try:
             return Manifest.model_validate(content)
         except ValidationError as error:
-            raise RunError(f"{self.manifest_path} is damaged: {error.errors()[0]['msg']}; {redo}") from error
+            raise RunError(f"{self.manifest_path} is damaged: {first_problem(error)}; {redo}") from error
 
     def require(self) -> None:
         """Raises RunError if this is no run directory, or one of another version."""

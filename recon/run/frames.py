@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import json
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
 from typing import TypeVar
 
 import cv2
@@ -16,8 +16,9 @@ from torch import Tensor
 from ..core.camera import Camera
 from ..core.compiled import compiled
 from ..core.errors import DataError, RunError
-from ..core.files import BETA_UNITS_PER_M, DEPTH_UNITS_PER_M, read_image
+from ..core.files import BETA_UNITS_PER_M, DEPTH_UNITS_PER_M, read_image, read_json
 from ..core.frame import Frame
+from ..core.json_values import first_problem
 from .directory import RunDirectory
 from .manifest import FrameRecord
 
@@ -35,10 +36,10 @@ class RunFrames:
         self.registration_sigma_px = manifest.registration_sigma_px
         self.sensors: tuple[str, ...] = tuple(sensors) if sensors is not None else manifest.sensors
         try:
-            self.records = [FrameRecord.model_validate(row) for row in json.loads(run.frames_path.read_text())]
-        except (OSError, ValueError) as error:
+            self.records = [FrameRecord.model_validate(row) for row in read_json(run.frames_path)]
+        except (OSError, ValueError, TypeError) as error:
             raise RunError(
-                f"cannot read {run.frames_path}: {error}; redo it with `uncle preprocess --overwrite`"
+                f"cannot read {run.frames_path}: {first_problem(error)}; redo it with `uncle preprocess --overwrite`"
             ) from error
 
     def __len__(self) -> int:
@@ -67,26 +68,36 @@ class RunFrames:
 
     def color(self, index: int) -> Tensor:
         """(H, W, 3) uint8 RGB. Raises DataError."""
-        image = read_image(self.run.color_path(self.records[index].color), cv2.IMREAD_COLOR)
+        image = self._image(self.run.color_path(self.records[index].color), cv2.IMREAD_COLOR, 3)
         return torch.from_numpy(image)
 
     def depth(self, index: int, sensor: str) -> Tensor:
         """(H, W) float32 metres, 0 = no measurement; all 0 if the sensor has no image here. Raises DataError."""
         if sensor not in self.records[index].sensors:
             return torch.zeros(self.camera.height, self.camera.width)
-        image = read_image(self.run.depth_path(sensor, index), cv2.IMREAD_UNCHANGED)
+        image = self._image(self.run.depth_path(sensor, index), cv2.IMREAD_UNCHANGED)
         return torch.from_numpy(image.astype(np.float32) / DEPTH_UNITS_PER_M)
 
     def normals(self, index: int, sensor: str) -> Tensor:
         """(H, W, 3) float32 unit normals in camera axes, towards the camera; 0 where unknown. Raises DataError."""
         if sensor not in self.records[index].sensors:
             return torch.zeros(self.camera.height, self.camera.width, 3)
-        return decode_normals(read_image(self.run.normal_path(sensor, index), cv2.IMREAD_COLOR))
+        return decode_normals(self._image(self.run.normal_path(sensor, index), cv2.IMREAD_COLOR, 3))
 
     def beta(self, index: int, sensor: str) -> Tensor:
         """(H, W) float32 Laplace scale in metres, 0 where there is no measurement. Raises DataError."""
-        image = read_image(self.run.beta_path(sensor, index), cv2.IMREAD_UNCHANGED)
+        image = self._image(self.run.beta_path(sensor, index), cv2.IMREAD_UNCHANGED)
         return torch.from_numpy(image.astype(np.float32) / BETA_UNITS_PER_M)
+
+    def _image(self, path: Path, flags: int, *channels: int) -> np.ndarray:
+        """(H, W, *channels) of the camera's size. Raises DataError."""
+        image = read_image(path, flags)
+        if image.shape != (self.camera.height, self.camera.width, *channels):
+            raise DataError(
+                f"{path} is not an image of this run: expected {self.camera.width}x{self.camera.height}, found "
+                f"{image.shape}; redo it with `uncle preprocess --overwrite`"
+            )
+        return image
 
     def __getitem__(self, index: int) -> Frame:
         record = self.records[index]

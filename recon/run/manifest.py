@@ -6,14 +6,26 @@ import hashlib
 import json
 import platform
 from importlib.metadata import PackageNotFoundError, version
-from typing import Any
+from typing import Annotated, Any
 
-from pydantic import BaseModel, ConfigDict
+from pydantic import AfterValidator, BaseModel, ConfigDict, FiniteFloat, field_validator
 
 from ..core.camera import Camera
 from ..core.world_offset import NO_OFFSET
 
 SCHEMA_VERSION = 2
+CAMERA_FIELDS = ("width", "height", "fx", "fy", "cx", "cy")
+MAX_SIDE_PX = 1 << 15  # of an image
+
+
+def _file_name(name: str) -> str:
+    """A run reads and writes below its own folder, whatever its manifest says."""
+    if not name or name in (".", "..") or "/" in name or "\0" in name:
+        raise ValueError(f"{name!r} is no name of a file or folder")
+    return name
+
+
+FileName = Annotated[str, AfterValidator(_file_name)]
 
 
 class FrameRecord(BaseModel):
@@ -22,10 +34,17 @@ class FrameRecord(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid")
     index: int
     source_index: int
-    timestamp: float
-    color: str  # file name in frames/color
-    sensors: tuple[str, ...]
-    T_world_camera: list[list[float]] | None = None
+    timestamp: FiniteFloat
+    color: FileName  # file name in frames/color
+    sensors: tuple[FileName, ...]
+    T_world_camera: list[list[FiniteFloat]] | None = None
+
+    @field_validator("T_world_camera")
+    @classmethod
+    def _matrix(cls, rows: list[list[float]] | None) -> list[list[float]] | None:
+        if rows is not None and [len(row) for row in rows] != [4] * 4:
+            raise ValueError("expected 4 rows of 4 numbers")
+        return rows
 
 
 class StageRecord(BaseModel):
@@ -49,21 +68,31 @@ class Manifest(BaseModel):
     dataset: str
     dataset_format: str
     name: str
-    camera: dict[str, float]
-    sensors: tuple[str, ...]
+    camera: dict[str, FiniteFloat]
+    sensors: tuple[FileName, ...]
     has_timestamps: bool
     reference_mesh: str | None = None
-    registration_sigma_px: float = (
+    registration_sigma_px: FiniteFloat = (
         0.0  # standard deviation of the offset between colour and depth, common to all frames
     )
-    world_offset_m: tuple[float, float, float] = NO_OFFSET  # origin of the run in the world of the data set
+    world_offset_m: tuple[FiniteFloat, FiniteFloat, FiniteFloat] = NO_OFFSET  # origin of the run in the world of the data set
     skipped: dict[str, str] = {}  # "source index[/sensor]" -> reason
     stages: dict[str, StageRecord] = {}
     outdated: dict[str, str] = {}  # stage whose files are no longer those of the run -> reason
 
+    @field_validator("camera")
+    @classmethod
+    def _pinhole(cls, camera: dict[str, float]) -> dict[str, float]:
+        if set(camera) != set(CAMERA_FIELDS):
+            raise ValueError(f"expected {', '.join(CAMERA_FIELDS)}")
+        sizes = camera["width"], camera["height"]
+        if not all(1 <= size <= MAX_SIDE_PX and size % 1 == 0 for size in sizes) or min(camera["fx"], camera["fy"]) <= 0:
+            raise ValueError("no camera has this size and focal length")
+        return camera
+
     def pinhole_camera(self) -> Camera:
         """`camera` as a value."""
-        fx, fy, cx, cy = (self.camera[key] for key in ("fx", "fy", "cx", "cy"))
+        fx, fy, cx, cy = (self.camera[key] for key in CAMERA_FIELDS[2:])
         return Camera(int(self.camera["width"]), int(self.camera["height"]), fx, fy, cx, cy)
 
 

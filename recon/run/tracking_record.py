@@ -10,7 +10,8 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, ValidationError
 
 from ..core.errors import DataError
-from ..core.files import write_text
+from ..core.json_values import first_problem
+from ..core.files import read_bytes, write_text
 
 Status = Literal["tracked", "weak", "lost", "relocalised"]
 
@@ -64,10 +65,9 @@ class TrackingRecord(BaseModel):
     def load(path: Path) -> TrackingRecord:
         """Read the file. Raises DataError."""
         try:
-            return TrackingRecord.model_validate_json(path.read_text())
+            return TrackingRecord.model_validate_json(read_bytes(path))
         except (OSError, ValidationError) as error:
-            reason = error.errors()[0]["msg"] if isinstance(error, ValidationError) else error
-            raise DataError(f"cannot read {path}: {reason}; redo it with `uncle map --track --overwrite`") from error
+            raise DataError(f"cannot read {path}: {first_problem(error)}; redo it with `uncle map --track --overwrite`") from error
 
     def counts(self) -> dict[str, int]:
         """How many frames have each status."""

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 from ..core.errors import RunError
 from ..core.events import OnEvent
+from ..core.files import read_bytes, read_json
 from ..core.html import embed_picture, explain, heading, missing, preformatted, table
 from ..core.number_format import format_grouped
 from ..evaluation.noise_curves import BetaSamples, collect_beta_samples, noise_curves
@@ -214,7 +214,7 @@ def stages_section(manifest: Manifest) -> str:
 def configuration_section(run: RunDirectory) -> str:
     """The settings of the map."""
     try:
-        return preformatted(run.config_path.read_text(errors="replace"))
+        return preformatted(read_bytes(run.config_path).decode(errors="replace"))
     except OSError:
         return missing(f"There is no configuration; `uncle map --run {run.root}` writes it.")
 
@@ -231,7 +231,7 @@ def _metrics(run: RunDirectory) -> dict[str, Any]:
 def _read_json(path: Path) -> dict[str, Any] | None:
     """None where the file is missing, broken or no JSON object."""
     try:
-        content = json.loads(path.read_text())
+        content = read_json(path)
     except (OSError, ValueError):
         return None
     return content if isinstance(content, dict) else None

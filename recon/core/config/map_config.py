@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import difflib
+import reprlib
 import tomllib
 from typing import Any, Literal
 
@@ -24,6 +25,9 @@ from .uncle import (
     UncertaintyConfig,
 )
 from .vox import VoxConfig
+
+
+MAX_SHOWN = 100  # characters of an override in a message
 
 
 class MapConfig(Strict):
@@ -88,7 +92,7 @@ def make_config(method: str, overrides: list[str], **top_level: Any) -> MapConfi
     except ValidationError as error:
         first = error.errors()[0]
         raise ConfigError(
-            f"setting {'.'.join(map(str, first['loc']))}: {first['msg']} (got {first['input']!r})"
+            f"setting {'.'.join(map(str, first['loc']))}: {first['msg']} (got {reprlib.repr(first['input'])})"
         ) from error
 
 
@@ -117,11 +121,11 @@ def _set(values: dict[str, Any], override: str, known: dict[str, Any]) -> None:
     key, equals, text = override.partition("=")
     key = key.strip()
     if not equals:
-        raise ConfigError(f"--set {override!r}: expected key=value, for example --set fusion.voxel_size_m=0.01")
+        raise ConfigError(f"--set {_shown(override)}: expected key=value, for example --set fusion.voxel_size_m=0.01")
     if key not in known:
         close = difflib.get_close_matches(key, known, n=1, cutoff=0.4)
         hint = f"; did you mean {close[0]}?" if close else f"; known keys: {', '.join(known)}"
-        raise ConfigError(f"--set {override!r}: no setting is called {key!r}{hint}")
+        raise ConfigError(f"--set {_shown(override)}: no setting is called {_shown(key)}{hint}")
     table = values
     *groups, name = key.split(".")
     for group in groups:
@@ -129,10 +133,15 @@ def _set(values: dict[str, Any], override: str, known: dict[str, Any]) -> None:
     table[name] = _parse(text.strip())
 
 
+def _shown(text: str) -> str:
+    """`text` in quotes, of a length that fits into a message."""
+    return repr(text if len(text) <= MAX_SHOWN else text[:MAX_SHOWN] + "...")
+
+
 def _parse(text: str) -> Any:
     try:
         return tomllib.loads(f"value = {text}")["value"]
-    except tomllib.TOMLDecodeError:
+    except (tomllib.TOMLDecodeError, RecursionError):
         return text
 
 

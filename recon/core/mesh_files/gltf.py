@@ -17,6 +17,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from ..errors import DataError
+from ..files import read_bytes
 from .polygons import Polygons, pack, strip_triangles
 
 _COMPONENTS = {5120: "i1", 5121: "u1", 5122: "i2", 5123: "u2", 5125: "u4", 5126: "f4"}
@@ -216,7 +217,7 @@ class _Scene:
         else:
             place = self.path.parent / unquote(uri)
             try:
-                data = place.read_bytes()
+                data = read_bytes(place)
             except OSError as error:
                 raise DataError(
                     f"{self.path} needs the file {place}, which cannot be read: {error.strerror}"

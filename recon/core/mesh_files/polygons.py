@@ -164,7 +164,7 @@ def _fan_fits(vertices: np.ndarray, polygons: np.ndarray) -> np.ndarray:
     """(P,) bool: all triangles of the fan around the first corner of the (P, n) polygons face the same way."""
     points = vertices[polygons]
     edges = points[:, 1:] - points[:, :1]
-    with np.errstate(invalid="ignore"):
+    with np.errstate(invalid="ignore", over="ignore"):
         normals = np.cross(edges[:, :-1], edges[:, 1:])  # twice the area of each triangle of the fan
         total = normals.sum(axis=1, keepdims=True)  # Newell's normal
         along = (normals * total).sum(axis=2)

@@ -6,6 +6,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from ..errors import DataError
+from ..files import read_bytes
 from ..world_offset import Offset
 from .clouds import read_pcd, read_points
 from .gltf import read_gltf
@@ -37,7 +38,7 @@ def read_triangles(path: Path, offset_m: Offset | None = None) -> Triangles:
             f"{', '.join(READABLE_SUFFIXES)}"
         )
     try:
-        data = path.read_bytes()
+        data = read_bytes(path)
     except OSError as error:
         raise DataError(f"cannot read {path}: {error.strerror}") from error
     if not data:

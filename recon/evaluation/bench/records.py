@@ -16,7 +16,7 @@ from typing import Any, Protocol
 
 from ...core.errors import DataError, UncleError
 from ...core.events import Note, OnEvent, Warn, ignore
-from ...core.files import write_text
+from ...core.files import read_json, write_text
 from .process import Record, share_of_cores, stay_on, stop_all
 
 Each = Callable[[dict[str, Record], dict[str, str]], None]
@@ -33,9 +33,18 @@ class Job(Protocol):
 def load_records(path: Path) -> dict[str, Record]:
     """What earlier calls left in `path`, by key; nothing if there is no such file. Raises DataError if it is broken."""
     try:
-        return json.loads(path.read_text()) if path.exists() else {}
+        records = read_json(path) if path.exists() else {}
     except ValueError as error:
-        raise DataError(f"{path} is not a file of results: {error}; move it away or take another --out") from error
+        raise _no_records(path, str(error)) from error
+    except OSError as error:
+        raise _no_records(path, error.strerror or str(error)) from error
+    if not isinstance(records, dict) or not all(isinstance(record, dict) for record in records.values()):
+        raise _no_records(path, "it holds other values")
+    return records
+
+
+def _no_records(path: Path, reason: str) -> DataError:
+    return DataError(f"{path} is not a file of results: {reason}; move it away or take another --out")
 
 
 def carry_out(

@@ -84,6 +84,6 @@ def _read(path: Path) -> tuple[str, ConfidenceNetwork]:
     network = ConfidenceNetwork()
     try:
         network.load_state_dict({key: values.float() for key, values in state["weights"].items()})
-    except (KeyError, AttributeError, RuntimeError) as error:
+    except (KeyError, AttributeError, RuntimeError, TypeError, ValueError) as error:
         raise FORMAT.error(str(path)) from error
     return str(state.get("sensor")), channels_last(network).eval()

@@ -11,7 +11,8 @@ import torch
 from torch import Tensor
 
 from ...core.errors import ConfigError
-from ...core.tensor_files import save_tensors
+from ...core.json_values import first_problem
+from ...core.tensor_files import read_tensors, save_tensors
 from .decoders import LAYERS, Decoder, OccupancyDecoders, fine_decoder, middle_decoder
 
 FORMAT = "uncle occupancy decoders, version 1"
@@ -71,8 +72,7 @@ def shipped_decoders() -> OccupancyDecoders:
 def _read(path: Path) -> dict[str, Any]:
     """The dictionary of a file of tensors and plain numbers, also NumPy's, which ConvONet's checkpoints hold."""
     try:
-        with torch.serialization.safe_globals(_numpy_scalars()):
-            content = torch.load(path, map_location="cpu", weights_only=True)
+        content = read_tensors(path, also=_numpy_scalars())
     except FileNotFoundError as error:
         raise ConfigError(f"there is no file {path}: nice.decoders must name a file of decoders") from error
     except pickle.UnpicklingError as error:
@@ -80,8 +80,8 @@ def _read(path: Path) -> dict[str, Any]:
             f"cannot read {path}: it holds more than tensors and plain values, and running code from a file is not "
             f"safe; load it where you trust it, and save `{{'model': checkpoint['model']}}`"
         ) from error
-    except (OSError, RuntimeError, EOFError, ValueError, KeyError) as error:
-        raise ConfigError(f"cannot read {path}: it is damaged or no PyTorch file ({error})") from error
+    except Exception as error:  # of many types
+        raise ConfigError(f"cannot read {path}: it is damaged or no PyTorch file ({first_problem(error)})") from error
     if not isinstance(content, dict):
         raise ConfigError(f"{path} holds no decoders: it is a {type(content).__name__}, not a checkpoint")
     return content

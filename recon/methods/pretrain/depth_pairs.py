@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import zipfile
-import zlib
 from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,12 +10,14 @@ from typing import Protocol
 import numpy as np
 from torch import Tensor
 
+from ...core.array_files import read_npz
 from ...core.errors import ConfigError, DataError
 from ...core.events import OnEvent, ignore, track_progress
 from ...core.files import DEPTH_UNITS_PER_M, atomic_path, encode_metres
 
 TRUTH = "gt"
 FORMAT = "uncle depth pairs"
+COMMAND = "uncle pretrain confidence --prepare"
 
 
 class DepthSource(Protocol):
@@ -81,20 +81,24 @@ class DepthPairs:
     @staticmethod
     def load(path: Path) -> DepthPairs:
         """Raises DataError."""
-        arrays = load_arrays(path, FORMAT, "uncle pretrain confidence --data")
-        return DepthPairs(
-            str(arrays["sensor"]), unpacked(arrays["reading"]), unpacked(arrays["truth"]), arrays["scene"]
-        )
+        arrays = load_arrays(path, FORMAT, COMMAND)
+        try:
+            reading, truth = unpacked(arrays["reading"]), unpacked(arrays["truth"])
+            pairs = DepthPairs(str(arrays["sensor"]), reading, truth, arrays["scene"])
+        except (KeyError, ValueError) as error:
+            raise DataError(f"{path} is damaged ({error}); make it again with `{COMMAND}`") from error
+        if reading.shape != truth.shape or pairs.scene.shape != (len(reading),) or pairs.scene.dtype.kind not in "iu":
+            raise DataError(f"{path} is damaged: its images are not of one shape; make it again with `{COMMAND}`")
+        return pairs
 
 
 def load_arrays(path: Path, kind: str, command: str) -> dict[str, np.ndarray]:
     """The arrays of an npz file of training data of that `kind`. Raises DataError naming the `command` for it."""
     try:
-        with np.load(path, allow_pickle=False) as file:
-            arrays = dict(file)
+        arrays = read_npz(path)
     except FileNotFoundError as error:
         raise DataError(f"there is no file {path}") from error
-    except (OSError, ValueError, EOFError, zipfile.BadZipFile, zlib.error) as error:
+    except Exception as error:  # of many types, for an archive or a header that is damaged
         raise DataError(f"cannot read {path}: not a whole file of training data; make it with `{command}`") from error
     if str(arrays.get("format")) != kind:
         raise DataError(f"{path} is not a file of training data of this kind; make it with `{command}`")
@@ -113,7 +117,9 @@ def packed(images: np.ndarray) -> np.ndarray:
 
 
 def unpacked(planes: np.ndarray) -> np.ndarray:
-    """The inverse of `packed`."""
+    """The inverse of `packed`. Raises ValueError for anything that it does not return."""
+    if planes.ndim != 4 or len(planes) != 2 or planes.dtype != np.uint8 or planes.size == 0:
+        raise ValueError(f"images are packed as (2, N, H, W) uint8, not {planes.shape} {planes.dtype}")
     steps = planes[0].astype(np.uint16) | planes[1].astype(np.uint16) << 8
     return np.cumsum(steps, axis=-1, dtype=np.uint16)
 

@@ -15,6 +15,7 @@ from ...core.camera import Camera
 from ...core.errors import ConfigError, DataError
 from ...core.events import OnEvent, ignore, track_progress
 from ...core.files import DEPTH_UNITS_PER_M, atomic_path, encode_metres
+from ...core.json_values import first_problem
 from ...core.mesh import Mesh
 from ...core.world_offset import NO_OFFSET
 from .depth_pairs import TRUTH, load_arrays, packed, spread, unpacked
@@ -43,7 +44,8 @@ class Scene:
 
     def color(self, index: int) -> torch.Tensor:
         """(H, W, 3) uint8 RGB."""
-        image = cv2.imdecode(self.jpegs[index], cv2.IMREAD_COLOR)
+        jpeg = self.jpegs[index]
+        image = cv2.imdecode(jpeg, cv2.IMREAD_COLOR) if len(jpeg) else None
         if image is None:
             raise DataError(
                 f"colour image {index} of the training data cannot be decoded; make them again: `{COMMAND}`"
@@ -102,14 +104,21 @@ def load_scenes(path: Path) -> list[Scene]:
         return [_scene(arrays, f"{number}_") for number in range(int(arrays["scenes"]))]
     except KeyError as error:
         raise DataError(f"{path}: {error} is missing; make it again with `{COMMAND}`") from error
+    except (ValueError, TypeError, IndexError, OverflowError) as error:
+        raise DataError(f"{path} is damaged ({first_problem(error)}); make it again with `{COMMAND}`") from error
 
 
 def _scene(arrays: dict[str, np.ndarray], key: str) -> Scene:
-    width, height, *pinhole = arrays[key + "camera"].tolist()
+    width, height, *pinhole = arrays[key + "camera"].astype(float).tolist()
     depths = {sensor: unpacked(arrays[key + sensor]) for sensor in arrays["sensors"].tolist()}
-    jpegs = np.split(arrays[key + "jpegs"], np.cumsum(arrays[key + "jpeg_sizes"])[:-1])
+    poses, bounds = arrays[key + "poses"].astype(float), np.cumsum(arrays[key + "jpeg_sizes"].astype(np.int64))
+    jpegs = np.split(arrays[key + "jpegs"], bounds[:-1])
     camera = Camera(int(width), int(height), *pinhole)
-    return Scene(camera, depths, jpegs, arrays[key + "poses"], TrueDistance.from_arrays(arrays, key))
+    expected = {(len(jpegs), camera.height, camera.width)}
+    is_image = arrays[key + "jpegs"].dtype == np.uint8 and arrays[key + "jpegs"].ndim == 1
+    if not is_image or {images.shape for images in depths.values()} != expected or poses.shape != (len(jpegs), 4, 4):
+        raise ValueError(f"its arrays are not those of {len(jpegs)} frames of {camera.width}x{camera.height}")
+    return Scene(camera, depths, jpegs, poses, TrueDistance.from_arrays(arrays, key))
 
 
 def _reference_mesh(name: str, source: Any) -> Mesh:

@@ -63,9 +63,12 @@ class TrueDistance:
 
     @staticmethod
     def from_arrays(arrays: dict[str, np.ndarray], key: str) -> TrueDistance:
-        """Of arrays whose names begin with `key`. Raises KeyError."""
-        voxel, truncation = arrays[key + "sizes"].tolist()
-        return TrueDistance(arrays[key + "steps"], arrays[key + "first"], voxel, truncation)
+        """Of arrays whose names begin with `key`. Raises KeyError, ValueError."""
+        voxel, truncation = arrays[key + "sizes"].astype(float).tolist()
+        steps, first = arrays[key + "steps"], arrays[key + "first"]
+        if steps.ndim != 3 or steps.dtype != np.int8 or first.shape != (3,) or not (voxel > 0 and truncation > 0):
+            raise ValueError("its distances are no grid")
+        return TrueDistance(steps, first, voxel, truncation)
 
 
 def _near(mesh: Mesh, first: np.ndarray, shape: np.ndarray, voxel_size_m: float, truncation_m: float) -> np.ndarray:
