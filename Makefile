@@ -1,6 +1,7 @@
 # make demo    set up, reconstruct a small made-up room with two sensors, and say where the report is
 # make test    set up and run the tests
 # make check   set up and check what needs no run: lint, types, spelling, links, generated pages, unused code
+# make fuzz    try damaged inputs on every parser and command for MINUTES
 # make docs    write the generated pages of docs/
 #
 # On Linux pip fetches a PyTorch with GPU libraries (several GB). A smaller one can be chosen by its index:
@@ -10,12 +11,14 @@ PYTHON ?= $(shell command -v python3.11 || command -v python3)
 VENV ?= .venv
 TORCH_INDEX ?=
 DEMO ?= demo
+MINUTES ?= 10
+FUZZ ?= fuzz-out
 
 BIN := $(VENV)/bin
 PIP := $(BIN)/python -m pip --disable-pip-version-check install --quiet -c constraints.txt
 STAMP := $(VENV)/.installed
 
-.PHONY: demo test test-slow check lint types spelling links generated unused docs system
+.PHONY: demo test test-slow fuzz check lint types spelling links generated unused docs system
 .DEFAULT_GOAL := test
 
 demo: $(STAMP)
@@ -27,6 +30,9 @@ test: $(STAMP)
 
 test-slow: $(STAMP)
 	$(BIN)/python -m pytest -m slow
+
+fuzz: $(STAMP)
+	$(BIN)/python benchmarks/fuzz.py --minutes $(MINUTES) --out $(FUZZ)
 
 check: lint types spelling links generated unused
 

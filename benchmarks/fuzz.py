@@ -14,9 +14,13 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--minutes", type=float, default=10.0)
     parser.add_argument("--seed", type=int, default=0, help="of the first batch; every batch has the next one")
-    parser.add_argument("--only", nargs="+", default=[], metavar="TEXT", help="targets whose name contains one of these")
+    parser.add_argument(
+        "--only", nargs="+", default=[], metavar="TEXT", help="targets whose name contains one of these"
+    )
     parser.add_argument("--out", type=Path, default=Path("fuzz-out"), help="corpus, defects and table")
-    parser.add_argument("--repeat", type=Path, metavar="FOLDER", help="try a defect of OUT/defects again, in this process")
+    parser.add_argument(
+        "--repeat", type=Path, metavar="FOLDER", help="try a defect of OUT/defects again, in this process"
+    )
     parser.add_argument("--worker", nargs=2, type=Path, help=argparse.SUPPRESS)
     arguments = parser.parse_args()
     if arguments.worker:

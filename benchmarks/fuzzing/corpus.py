@@ -46,7 +46,9 @@ def views() -> tuple[View, ...]:
     made = []
     for index in range(FRAMES):
         pose = np.eye(4)
-        pose[:3, :3] = Rotation.from_euler("xyz", [20 + 4 * index, 9 * index + 3, 3 * index + 1], degrees=True).as_matrix()
+        pose[:3, :3] = Rotation.from_euler(
+            "xyz", [20 + 4 * index, 9 * index + 3, 3 * index + 1], degrees=True
+        ).as_matrix()
         pose[:3, 3] = [0.05 * index, -0.03 * index, 0.15]
         directions = CAMERA.rays().numpy().astype(np.float64) @ pose[:3, :3].T
         depth = np.maximum((LOW - pose[:3, 3]) / directions, (HIGH - pose[:3, 3]) / directions).min(axis=-1)
@@ -138,12 +140,13 @@ def trajectories() -> list[Sample]:
     information = "1 0 0 0 0 0 1 0 0 0 0 1 0 0 0 1 0 0 1 0 1"
     log = [f"{i} {i} {i + 1}\n" + "\n".join(rows(row) for row in pose) for i, pose in enumerate(poses)]
     pairs = list(zip(times, vectors, strict=True))
+    numbered = [f"{t} {rows(row)} {i}" for i, (t, row) in enumerate(pairs)]
     return _single({
         "tum.txt": lines("# timestamp tx ty tz qx qy qz qw", *(f"{t:.4f} {rows(row)}" for t, row in pairs)),
         "euroc.csv": lines(columns, *euroc),
         "kitti.txt": lines(*(rows(pose[:3]) for pose in poses)),
         "kitti360.txt": lines(*(f"{i} {rows(pose)}" for i, pose in enumerate(poses))),
-        "rtabmap.txt": lines("#timestamp x y z qx qy qz qw id", *(f"{t} {rows(row)} {i}" for i, (t, row) in enumerate(pairs))),
+        "rtabmap.txt": lines("#timestamp x y z qx qy qz qw id", *numbered),
         "trajectory.log": lines(*log),
         "matrices.txt": lines(*(rows(row) for pose in poses for row in pose)),
         "graph.g2o": lines(*graph, f"EDGE_SE3:QUAT 0 1 0 0 0 0 0 0 1 {information}"),

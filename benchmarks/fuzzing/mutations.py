@@ -36,14 +36,14 @@ _TOKENS = (
     b"\xf0\x9f\x98\x80", b"$(x)", b"\xc3(", b"\0\0\0\0", b"[" * 2000, b'{"a":' * 2000, b"A" * 5000,
 )  # fmt: skip
 _VALUES: tuple[Any, ...] = (
-    None, True, 0, -1, 1 << 31, 1 << 63, 1 << 70, 1e300, float("nan"), float("inf"), 1e-320, "", "x", "1", "\0", "../..",
-    "a\nb", "<script>alert(1)</script>", [], {}, [[]], [None], {"": 0}, [0] * 3, [1.0] * 16, "9" * 500,
+    None, True, 0, -1, 1 << 31, 1 << 63, 1 << 70, 1e300, float("nan"), float("inf"), 1e-320, "", "x", "1", "\0",
+    "../..", "a\nb", "<script>alert(1)</script>", [], {}, [[]], [None], {"": 0}, [0] * 3, [1.0] * 16, "9" * 500,
 )  # fmt: skip
 _ENCODINGS = ("utf-16", "utf-16-le", "utf-16-be", "utf-32", "utf-8-sig", "latin-1", "cp037", "utf-7")
 _NAMES = (
     "{stem}", "{stem}.txt", "{stem}_copy{suffix}", "frame{stem}{suffix}", "{stem}{suffix}.part", "x{suffix}",
-    ".{stem}{suffix}", "\u0437 \u4e16{suffix}", "{stem}\n{suffix}", "<b>{stem}{suffix}", "-{stem}{suffix}", "{stem}{upper}",
-    "1e5{suffix}", "99999999999999999999{suffix}", "{stem}.{stem}{suffix}", "%s{stem}{suffix}", "\u0661{suffix}",
+    ".{stem}{suffix}", "\u0437 \u4e16{suffix}", "{stem}\n{suffix}", "<b>{stem}{suffix}", "-{stem}{suffix}",
+    "{stem}{upper}", "1e5{suffix}", "99999999999999999999{suffix}", "{stem}.{stem}{suffix}", "%s{stem}{suffix}", "\u0661{suffix}",
 )  # fmt: skip
 
 

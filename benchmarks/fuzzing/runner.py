@@ -43,7 +43,7 @@ class Tally:
         return int(min(max(BATCH_S * self.inputs / max(self.seconds, 1e-3), FIRST_COUNT), MAX_COUNT))
 
 
-class Died(Exception):  # noqa: N818 - an event, not an error of ours
+class Died(Exception):
     """The worker ended, or had to be ended; `kind` says how."""
 
     def __init__(self, kind: str) -> None:
@@ -54,9 +54,7 @@ class Died(Exception):  # noqa: N818 - an event, not an error of ours
 class Worker:
     """A process of `worker.py`."""
 
-    def __init__(self, corpus: Path, folder: Path) -> None:
-        folder.mkdir(parents=True, exist_ok=True)
-        command = [sys.executable, str(Path(__file__).parents[1] / "fuzz.py"), "--worker", str(corpus), str(folder)]
+    def __init__(self, command: Sequence[str]) -> None:
         environment = {**os.environ, "OMP_NUM_THREADS": "1", "NUMBA_NUM_THREADS": "1", "MPLBACKEND": "agg"}
         self.process = subprocess.Popen(
             command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, env=environment, start_new_session=True
@@ -124,8 +122,14 @@ class Fuzzer:
                 self._turn(name, tally)
             (self.out / "table.md").write_text(self.table(time.monotonic() - began))
 
+    def _command(self) -> list[str]:
+        folder = self.out / "worker"
+        folder.mkdir(parents=True, exist_ok=True)
+        program = Path(__file__).parents[1] / "fuzz.py"
+        return [sys.executable, str(program), "--worker", str(self.out / "corpus"), str(folder)]
+
     def _turn(self, name: str, tally: Tally) -> None:
-        worker = self._worker or Worker(self.out / "corpus", self.out / "worker")
+        worker = self._worker or Worker(self._command())
         self._worker = worker
         self.seed += 1
         order = {"target": name, "seed": self.seed, "count": tally.next_count(), "known": list(tally.defects)}
@@ -182,7 +186,18 @@ class Fuzzer:
 
     def table(self, seconds: float) -> str:
         """Markdown: a line for each target, and their sum."""
-        head = ["target", "inputs", "right", "refused in one line", "traceback", "wrong", "memory", "hang", "crash", "slowest"]
+        head = [
+            "target",
+            "inputs",
+            "right",
+            "refused in one line",
+            "traceback",
+            "wrong",
+            "memory",
+            "hang",
+            "crash",
+            "slowest",
+        ]
         lines = [f"| {' | '.join(head)} |", "|" + "---|" * len(head)]
         total = Tally()
         for name, tally in self.tallies.items():

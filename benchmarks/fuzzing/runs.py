@@ -124,7 +124,7 @@ def _break(run: RunDirectory) -> None:
 
 def config(method: str = "uncle") -> object:
     """Settings with which a map takes a second."""
-    overrides = [f"tracking.enabled=true", *QUICK] if method == "uncle" else list(QUICK[:1])
+    overrides = ["tracking.enabled=true", *QUICK] if method == "uncle" else list(QUICK[:1])
     return make_config(method, overrides, device="cpu", sensors=())
 
 

@@ -267,7 +267,9 @@ def _commands() -> list[Target]:
     def paired(samples: list[Sample]) -> list[Sample]:
         """With the undamaged file as the ground truth beside."""
         return [
-            Sample(s.name, {**s.files, f"truth/{s.main}": s.files[s.main]}, s.main) for s in samples if s.main in s.files
+            Sample(s.name, {**s.files, f"truth/{s.main}": s.files[s.main]}, s.main)
+            for s in samples
+            if s.main in s.files
         ]
 
     def trajectories(folder: Path) -> list[Sample]:

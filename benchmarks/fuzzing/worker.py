@@ -8,6 +8,7 @@ import os
 import resource
 import sys
 import time
+from contextlib import suppress
 from dataclasses import astuple
 from pathlib import Path
 from typing import Any, TextIO
@@ -38,7 +39,7 @@ def inputs(samples: list[Sample]) -> st.SearchStrategy[tuple[int, list[Mutation]
     return st.integers(0, len(samples) - 1).flatmap(mutations)
 
 
-class _Failure(Exception):  # noqa: N818 - not raised to anyone
+class _Failure(Exception):
     """Tells hypothesis that an input shows a defect."""
 
 
@@ -70,10 +71,8 @@ class Batch:
                 seen.add(mark)
             self._try(changed, drawn[1])
 
-        try:
+        with suppress(_Failure, Flaky):
             try_all()
-        except (_Failure, Flaky):
-            pass
         if self.smallest is not None:
             self._report(*self.smallest)
 

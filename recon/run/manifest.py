@@ -75,7 +75,9 @@ class Manifest(BaseModel):
     registration_sigma_px: FiniteFloat = (
         0.0  # standard deviation of the offset between colour and depth, common to all frames
     )
-    world_offset_m: tuple[FiniteFloat, FiniteFloat, FiniteFloat] = NO_OFFSET  # origin of the run in the world of the data set
+    world_offset_m: tuple[FiniteFloat, FiniteFloat, FiniteFloat] = (
+        NO_OFFSET  # origin of the run in the world of the data set
+    )
     skipped: dict[str, str] = {}  # "source index[/sensor]" -> reason
     stages: dict[str, StageRecord] = {}
     outdated: dict[str, str] = {}  # stage whose files are no longer those of the run -> reason
@@ -86,7 +88,10 @@ class Manifest(BaseModel):
         if set(camera) != set(CAMERA_FIELDS):
             raise ValueError(f"expected {', '.join(CAMERA_FIELDS)}")
         sizes = camera["width"], camera["height"]
-        if not all(1 <= size <= MAX_SIDE_PX and size % 1 == 0 for size in sizes) or min(camera["fx"], camera["fy"]) <= 0:
+        if (
+            not all(1 <= size <= MAX_SIDE_PX and size % 1 == 0 for size in sizes)
+            or min(camera["fx"], camera["fy"]) <= 0
+        ):
             raise ValueError("no camera has this size and focal length")
         return camera
 

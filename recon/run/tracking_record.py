@@ -10,8 +10,8 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, ValidationError
 
 from ..core.errors import DataError
-from ..core.json_values import first_problem
 from ..core.files import read_bytes, write_text
+from ..core.json_values import first_problem
 
 Status = Literal["tracked", "weak", "lost", "relocalised"]
 
@@ -67,7 +67,9 @@ class TrackingRecord(BaseModel):
         try:
             return TrackingRecord.model_validate_json(read_bytes(path))
         except (OSError, ValidationError) as error:
-            raise DataError(f"cannot read {path}: {first_problem(error)}; redo it with `uncle map --track --overwrite`") from error
+            raise DataError(
+                f"cannot read {path}: {first_problem(error)}; redo it with `uncle map --track --overwrite`"
+            ) from error
 
     def counts(self) -> dict[str, int]:
         """How many frames have each status."""

@@ -26,7 +26,6 @@ from .uncle import (
 )
 from .vox import VoxConfig
 
-
 MAX_SHOWN = 100  # characters of an override in a message
 
 
