@@ -22,7 +22,11 @@ from uncle.recon.visualization.inspection_pages import findings_table
 ROOT = Path(__file__).parents[1]
 SOURCES = [path for top in ("recon", "datasets", "cli") for path in sorted((ROOT / top).rglob("*.py"))]
 NASTY = '<script>alert("1")</script>'
-TENSOR_READERS = (load_tensors, load_decoders, lambda path: FileFormat("x", 1, "a file", "make it").load(path, "--file"))
+TENSOR_READERS = (
+    load_tensors,
+    load_decoders,
+    lambda path: FileFormat("x", 1, "a file", "make it").load(path, "--file"),
+)
 ARRAY_READERS = (read_depth_values, DepthPairs.load, load_scenes)
 
 
@@ -40,7 +44,9 @@ class Hostile:
 @pytest.mark.parametrize("zipped", [True, False])
 def test_tensor_files_run_no_code(tmp_path, read, zipped):
     path = tmp_path / "model.pt"
-    torch.save({"format": "x", "version": 1, "model": Hostile(tmp_path / "made")}, path, _use_new_zipfile_serialization=zipped)
+    torch.save(
+        {"format": "x", "version": 1, "model": Hostile(tmp_path / "made")}, path, _use_new_zipfile_serialization=zipped
+    )
     with pytest.raises(UncleError):
         read(path)
     assert not (tmp_path / "made").exists()
@@ -98,7 +104,7 @@ def test_headers_reserve_no_memory(tmp_path, shape):
     with zipfile.ZipFile(tmp_path / "depth.npz", "w") as archive:
         archive.writestr("depth.npy", claim(shape))
         archive.writestr("format.npy", claim(shape))
-    with pytest.raises(DataError, match="names .* bytes"):
+    with pytest.raises(DataError, match=r"names .* bytes"):
         read_depth_values(tmp_path / "depth.npy")
     for read in ARRAY_READERS:
         with pytest.raises(DataError):

@@ -43,7 +43,8 @@ _ENCODINGS = ("utf-16", "utf-16-le", "utf-16-be", "utf-32", "utf-8-sig", "latin-
 _NAMES = (
     "{stem}", "{stem}.txt", "{stem}_copy{suffix}", "frame{stem}{suffix}", "{stem}{suffix}.part", "x{suffix}",
     ".{stem}{suffix}", "\u0437 \u4e16{suffix}", "{stem}\n{suffix}", "<b>{stem}{suffix}", "-{stem}{suffix}",
-    "{stem}{upper}", "1e5{suffix}", "99999999999999999999{suffix}", "{stem}.{stem}{suffix}", "%s{stem}{suffix}", "\u0661{suffix}",
+    "{stem}{upper}", "1e5{suffix}", "99999999999999999999{suffix}", "{stem}.{stem}{suffix}", "%s{stem}{suffix}",
+    "\u0661{suffix}",
 )  # fmt: skip
 
 
