@@ -89,7 +89,7 @@ def overflow(path):
 
 def hungry(path):
     try:
-        np.zeros(1 << 60)
+        np.zeros(1 << 50)
     except MemoryError as error:
         raise DataError("too large") from error
 

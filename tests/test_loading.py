@@ -141,7 +141,7 @@ def test_packed_tensor_files_are_refused(tmp_path):
 
 
 def test_pages_escape_all_that_they_show():
-    finding = Finding(NASTY, Verdict("wrong"), NASTY, number=NASTY, remedy=NASTY)
+    finding = Finding(NASTY, Verdict.WRONG, 1.0, NASTY, NASTY, NASTY)
     parts = [explain(NASTY), heading(NASTY), missing(f"`{NASTY}`"), preformatted(NASTY), findings_table([finding])]
     parts.append(table((NASTY,), [(NASTY,), (NASTY, NASTY)]))
     text = page(NASTY, NASTY, [Section(NASTY, "".join(parts))])

@@ -23,7 +23,7 @@ from uncle.recon.core.errors import DataError
 from uncle.recon.core.events import Event
 from uncle.recon.core.files import read_image
 from uncle.recon.core.mesh import Mesh, load_surface
-from uncle.recon.core.pose_tables import read_pose_table
+from uncle.recon.core.pose_tables import read_pose, read_pose_table
 from uncle.recon.core.text import read_text
 from uncle.recon.core.trajectory import Trajectory
 from uncle.recon.evaluation.bench.records import load_records
@@ -73,8 +73,8 @@ def _pose_table(path: Path) -> None:
     expect(table.T_world_camera.shape == (len(table), 4, 4) and len(table) > 0, "shape of the poses")
     usable = table.T_world_camera[np.isfinite(table.T_world_camera).all(axis=(1, 2))]
     _expect_rigid(usable)
-    for labels in (table.times, table.numbers):
-        expect(labels is None or labels.shape == (len(table),), "a label for each pose")
+    expect(table.labels is None or table.labels.shape == (len(table),), "a label for each pose")
+    expect(not table.names or len(table.names) == len(table), "a name for each pose")
 
 
 def _expect_rigid(poses: np.ndarray) -> None:
@@ -99,7 +99,7 @@ def _expect_usable(poses: Sequence[np.ndarray | None]) -> None:
 
 
 def _single_pose(path: Path) -> None:
-    pose = pose_files.read_pose(path)  # a pose that cannot be read has a remark
+    pose = read_pose(path)  # a pose that cannot be read has a remark
     _expect_usable([pose.T_world_camera])
     expect(pose.T_world_camera is not None or "\n" not in pose.remark, "a remark of one line")
 
