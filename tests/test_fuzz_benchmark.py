@@ -148,9 +148,9 @@ def test_the_end_of_the_process_is_counted_and_another_one_goes_on(tmp_path, mon
     (tmp_path / "worker" / "work" / "input").mkdir(parents=True)
     (tmp_path / "worker" / "work" / "input" / "a.txt").write_text("a")
     (tmp_path / "worker" / "stderr.txt").write_text("Segmentation fault")
-    monkeypatch.setattr(fuzzer, "_command", lambda: [sys.executable, "-c", ECHO + BEGIN + then])
+    monkeypatch.setattr(fuzzer, "command", lambda: [sys.executable, "-c", ECHO + BEGIN + then])
     for name, tally in fuzzer.tallies.items():
-        fuzzer._turn(name, tally)
+        fuzzer.turn(name, tally)
     assert [tally.counts[kind] for tally in fuzzer.tallies.values()] == [1, 1]
     defect = json.loads((tmp_path / "defects" / "001-one" / "defect.json").read_text())
     assert (defect["kind"], defect["target"]) == (kind, "one")

@@ -119,17 +119,19 @@ class Fuzzer:
                 if now - told >= 15:
                     told = now
                     self.say(self._progress(now - began, seconds))
-                self._turn(name, tally)
+                self.turn(name, tally)
             (self.out / "table.md").write_text(self.table(time.monotonic() - began))
 
-    def _command(self) -> list[str]:
+    def command(self) -> list[str]:
+        """What starts a worker."""
         folder = self.out / "worker"
         folder.mkdir(parents=True, exist_ok=True)
         program = Path(__file__).parents[1] / "fuzz.py"
         return [sys.executable, str(program), "--worker", str(self.out / "corpus"), str(folder)]
 
-    def _turn(self, name: str, tally: Tally) -> None:
-        worker = self._worker or Worker(self._command())
+    def turn(self, name: str, tally: Tally) -> None:
+        """One batch of inputs for the target `name`."""
+        worker = self._worker or Worker(self.command())
         self._worker = worker
         self.seed += 1
         order = {"target": name, "seed": self.seed, "count": tally.next_count(), "known": list(tally.defects)}

@@ -51,10 +51,10 @@ def attempt(target: Target, sample: Sample, folder: Path) -> Outcome:
 
 def call(target: Target, path: Path) -> Outcome:
     """What becomes of the input at `path`."""
-    with warnings.catch_warnings(record=True) as said:
+    with warnings.catch_warnings(record=True) as warned:
         warnings.simplefilter("always")
         outcome = _call(target, path)
-    noise = next((w for w in said if issubclass(w.category, RuntimeWarning | ResourceWarning | FutureWarning)), None)
+    noise = next((w for w in warned if issubclass(w.category, RuntimeWarning | ResourceWarning | FutureWarning)), None)
     if noise is None or outcome.is_failure:
         return outcome
     where = f"{noise.category.__name__} {Path(noise.filename).name}:{noise.lineno}"

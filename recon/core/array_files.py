@@ -50,6 +50,8 @@ def _parse(data: bytes) -> np.ndarray:
     shape, fortran_order, dtype = read_header(file)
     if dtype.hasobject:
         raise ValueError("it holds Python objects, which are not loaded")
+    if dtype.kind == "c":
+        raise ValueError("it holds complex numbers")
     start, size = file.tell(), math.prod(shape) * dtype.itemsize
     if size > len(data) - start or min(shape, default=0) < 0:
         raise ValueError(f"its header names {size} bytes, but it has {len(data) - start}")

@@ -11,6 +11,7 @@ import numpy as np
 from .array_files import archive_sizes, read_npy, read_npz
 from .errors import DataError
 from .files import read_image, require_file
+from .json_values import first_problem
 
 DEPTH_SUFFIXES = (".png", ".tif", ".tiff", ".pgm", ".exr", ".npy", ".npz", ".pfm")
 SATURATED = 65535  # the largest value of a 16-bit depth image never is a reading; Kinect recordings mark holes by it
@@ -81,7 +82,7 @@ def _read_npy(path: Path) -> np.ndarray:
     try:
         return read_npy(path)
     except Exception as error:  # of many types, for a header that is damaged
-        raise DataError(f"cannot read {path}: not a whole NPY file of numbers ({error})") from error
+        raise DataError(f"cannot read {path}: not a whole NPY file of numbers ({first_problem(error)})") from error
 
 
 def _read_npz(path: Path) -> np.ndarray:

@@ -8,6 +8,8 @@ from typing import Any
 
 from pydantic import ValidationError
 
+_MAX_PROBLEM = 300  # characters
+
 
 def to_plain(value: Any) -> Any:
     """Nested dataclasses, tuples and numbers as JSON can hold them; what is not finite becomes None."""
@@ -25,7 +27,8 @@ def to_plain(value: Any) -> Any:
 def first_problem(error: Exception) -> str:
     """One line on why a value does not fit its model (pydantic lists all reasons), or on any other error."""
     if not isinstance(error, ValidationError):
-        return " ".join(str(error).split())
+        text = " ".join(str(error).split())  # some libraries quote the whole file
+        return text if len(text) <= _MAX_PROBLEM else text[:_MAX_PROBLEM] + " ..."
     first = error.errors()[0]
     where = ".".join(str(part) for part in first["loc"]) or "the file"
     return f"{where}: {first['msg'].removeprefix('Value error, ')}"

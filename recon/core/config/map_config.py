@@ -123,7 +123,8 @@ def _set(values: dict[str, Any], override: str, known: dict[str, Any]) -> None:
         raise ConfigError(f"--set {_shown(override)}: expected key=value, for example --set fusion.voxel_size_m=0.01")
     if key not in known:
         close = difflib.get_close_matches(key, known, n=1, cutoff=0.4)
-        hint = f"; did you mean {close[0]}?" if close else f"; known keys: {', '.join(known)}"
+        tables = ", ".join(dict.fromkeys(name.partition(".")[0] for name in known if "." in name))
+        hint = f"; did you mean {close[0]}?" if close else f"; docs/config.md lists all, in the groups: {tables}"
         raise ConfigError(f"--set {_shown(override)}: no setting is called {_shown(key)}{hint}")
     table = values
     *groups, name = key.split(".")

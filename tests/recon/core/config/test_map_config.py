@@ -33,7 +33,7 @@ def test_override_wins_over_top_level_and_preset():
     [
         ("fusion.voxel_size=0.01", "did you mean fusion.voxel_size_m?"),
         ("feild.iterations=3", "did you mean field.iterations?"),
-        ("qqqq=1", "known keys: "),
+        ("qqqq=1", "groups: "),
         ("fusion.voxel_size_m", "expected key=value"),
         ("fusion=1", "no setting"),
         ("fusion.voxel_size_m=0.0005", "at least 0.001, or 0 for a size that is chosen"),
