@@ -93,7 +93,7 @@ def test_a_cut_file_is_an_error_that_names_it(tmp_path, name, keep):
         ("d.png", lambda path: cv2.imwrite(str(path), np.ones((9, 9), np.uint8)), "is 8-bit"),
         ("d.npy", lambda path: np.save(path, np.ones((9, 9), np.uint8)), "is 8-bit"),
         ("d.npy", lambda path: np.save(path, np.array([{}]), allow_pickle=True), "not a whole NPY file"),
-        ("d.npy", lambda path: np.save(path, np.ones((9, 9), complex)), "type complex128"),
+        ("d.npy", lambda path: np.save(path, np.ones((9, 9), complex)), "complex numbers"),
         ("d.npy", lambda path: np.save(path, np.ones((4, 9, 9))), "expected one channel"),
         ("d.npz", lambda path: np.savez(path, a=UNITS, b=UNITS), "holds a, b; call the array of depth `depth`"),
         ("d.exr", lambda path: save_exr(path, {"A": EXPECTED, "N": EXPECTED}), "has the channels A, N"),
