@@ -92,6 +92,8 @@ def _by_name(table: PoseTable, stems: Sequence[str]) -> FramePoses:
 def _by_number(table: PoseTable, stems: Sequence[str]) -> FramePoses:
     labels, counted = np.asarray(table.labels), [float(index) for index in range(len(stems))]
     numbers = numbers_of_names(stems) or counted
+    if not np.isfinite(labels).all():
+        raise DataError(f"{table.path}: {(~np.isfinite(labels)).sum()} of its {len(table)} poses have no finite number")
     poses = {_rounded(label): pose for label, pose in zip(labels, table.poses, strict=True)}
     matched = [poses.get(_rounded(number)) for number in numbers]
     count = sum(pose is not None for pose in matched)

@@ -155,7 +155,9 @@ class _Reading:
     def of(lines: Sequence[TextLine], decimal_comma: bool) -> _Reading:
         words = [_words(line.text, decimal_comma) for line in lines]
         names: tuple[str, ...] = ()
-        if all(len(line) > 1 and parse_number(line[0]) is None and line[0][0] not in "+-." for line in words):
+        if all(
+            len(line) > 1 and line[0] and line[0][0] not in "+-." and parse_number(line[0]) is None for line in words
+        ):
             names, words = tuple(line[0] for line in words), [line[1:] for line in words]
         values = [[parse_number(word) for word in line] for line in words]
         bad = tuple(index for index, row in enumerate(values) if None in row)

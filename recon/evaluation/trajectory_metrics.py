@@ -162,7 +162,10 @@ def has_clock(timestamps: np.ndarray) -> bool:
 
 def associate(estimate: Trajectory, reference: Trajectory, max_difference_s: float) -> np.ndarray:
     """(M, 2) index pairs of poses nearest in time, each pose used once, closest pairs first. Raises DataError."""
-    finite = [np.flatnonzero(np.isfinite(t.T_world_camera).all(axis=(1, 2))) for t in (estimate, reference)]
+    finite = [
+        np.flatnonzero(np.isfinite(t.T_world_camera).all(axis=(1, 2)) & np.isfinite(t.timestamps))
+        for t in (estimate, reference)
+    ]
     if len(finite[0]) == 0 or len(finite[1]) == 0:
         raise DataError("one of the trajectories holds no finite pose")
     times, true_times = estimate.timestamps[finite[0]], reference.timestamps[finite[1]]

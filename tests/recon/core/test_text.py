@@ -86,3 +86,9 @@ def test_binary_files_are_no_text(tmp_path, data):
         read_text(tmp_path / "t.txt")
     with pytest.raises(DataError, match=r"gone\.txt"):
         read_text(tmp_path / "gone.txt")
+
+
+def test_an_empty_first_word_is_no_name(tmp_path):
+    (tmp_path / "t.txt").write_text('""\t0 0 31\n0 52 24\n0 0 1\n')
+    with pytest.raises(DataError, match=r"t\.txt"):
+        read_table(tmp_path / "t.txt", lambda widths: set(widths) == {3}, "3 numbers")

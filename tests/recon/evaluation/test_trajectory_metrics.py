@@ -197,6 +197,12 @@ def test_no_common_time_is_an_error_that_names_both():
         evaluate_trajectory(late, walk())
 
 
+def test_poses_without_a_finite_time_stamp_are_left_out():
+    poses = np.tile(np.eye(4), (3, 1, 1))
+    estimate = Trajectory(np.array([0.0, np.nan, np.inf]), poses)
+    np.testing.assert_array_equal(associate(estimate, Trajectory(np.arange(3.0), poses), 0.02), [[0, 0]])
+
+
 def test_no_finite_pose_is_an_error():
     broken = Trajectory(walk().timestamps, np.full((60, 4, 4), np.nan))
     with pytest.raises(DataError, match="no finite pose"):
