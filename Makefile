@@ -1,5 +1,5 @@
 # make demo    set up, reconstruct a small made-up room with two sensors, and say where the report is
-# make test    set up and run the tests
+# make test    set up and run the tests in WORKERS processes of one thread each
 # make check   set up and check what needs no run: lint, types, spelling, links, generated pages, unused code
 # make fuzz    try damaged inputs on every parser and command for MINUTES
 # make docs    write the generated pages of docs/
@@ -12,6 +12,7 @@ VENV ?= .venv
 TORCH_INDEX ?=
 DEMO ?= demo
 MINUTES ?= 10
+WORKERS ?= 2
 FUZZ ?= fuzz-out
 
 BIN := $(VENV)/bin
@@ -26,7 +27,7 @@ demo: $(STAMP)
 	@echo "The report: $$(find $(DEMO) -name report.html | head -1)"
 
 test: $(STAMP)
-	$(BIN)/python -m pytest
+	OMP_NUM_THREADS=1 NUMBA_NUM_THREADS=1 $(BIN)/python -m pytest -n $(WORKERS) --dist loadfile
 
 test-slow: $(STAMP)
 	$(BIN)/python -m pytest -m slow

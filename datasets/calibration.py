@@ -16,6 +16,9 @@ from ..recon.core.pose import usable_pose
 from ..recon.core.text import read_text
 
 CAMERA_FILE = "camera.json"
+MAX_DEPTH_SCALE = 1e7  # units of 0.1 micrometres
+MAX_SIZE_PX = 100_000
+MAX_FOCAL_PX = 1e7  # the field of view is then 1/100 degree; no depth sensor has one
 MIN_DEPTH_SCALE = 0.5  # depth in metres as floats has 1; less is metres a unit
 # Names of OpenCV, COLMAP and ROS, and whether the model is the fisheye one.
 DISTORTION_MODELS = {
@@ -63,10 +66,10 @@ class CameraFields(BaseModel):
     """A camera as `camera.json` states it."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
-    width: int = Field(gt=0)
-    height: int = Field(gt=0)
-    fx: float = Field(gt=0, allow_inf_nan=False)
-    fy: float = Field(gt=0, allow_inf_nan=False)
+    width: int = Field(gt=0, le=MAX_SIZE_PX)
+    height: int = Field(gt=0, le=MAX_SIZE_PX)
+    fx: float = Field(gt=0, le=MAX_FOCAL_PX)
+    fy: float = Field(gt=0, le=MAX_FOCAL_PX)
     cx: float = Field(allow_inf_nan=False)
     cy: float = Field(allow_inf_nan=False)
     distortion: tuple[Annotated[float, Field(allow_inf_nan=False)], ...] = ()
@@ -106,7 +109,7 @@ class CameraFields(BaseModel):
 class CameraFile(CameraFields):
     """`camera.json`: see docs/data-formats.md."""
 
-    depth_scale: float | None = Field(default=None, gt=0, allow_inf_nan=False)
+    depth_scale: float | None = Field(default=None, gt=0, le=MAX_DEPTH_SCALE)
     timestamps: str | None = None
     color_camera: CameraFields | None = None
     T_color_depth: tuple[tuple[float, ...], ...] | None = None

@@ -10,7 +10,7 @@ import numpy as np
 from ..recon.core.camera import Camera
 from ..recon.core.errors import DataError
 from ..recon.core.text import parse_number, read_table, read_text, text_lines
-from .calibration import CAMERA_FILE, Calibration, CameraFile, intrinsics_of_matrix
+from .calibration import CAMERA_FILE, MAX_DEPTH_SCALE, MIN_DEPTH_SCALE, Calibration, CameraFile, intrinsics_of_matrix
 from .images import usual_size
 
 # Text files of a matrix, or of `fx fy cx cy` and distortion (ETH3D), by name.
@@ -111,6 +111,8 @@ def _info_calibration(path: Path, default: Calibration) -> Calibration:
     depth, color = cameras
     stated_units = "m_depthShift" in entries
     units = float(_info_numbers(path, entries, "m_depthShift", 1)[0]) if stated_units else default.depth_units_per_m
+    if not MIN_DEPTH_SCALE <= units <= MAX_DEPTH_SCALE:
+        raise DataError(f"{path}: m_depthShift = {units:g} is no number of depth units in a metre (often 1000)")
     if color == depth:
         return Calibration(depth, units)
     return Calibration(depth, units, color_camera=color, T_color_depth=np.eye(4))

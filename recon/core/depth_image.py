@@ -73,7 +73,11 @@ def _read_tiff(path: Path) -> np.ndarray:
         logging.getLogger("tifffile").setLevel(logging.CRITICAL)  # it would report what is raised anyway
         try:
             require_file(path)
-            return np.asarray(tifffile.imread(path, key=0))
+            with tifffile.TiffFile(path) as file:
+                page = file.pages.first
+                if page.nbytes > MAX_ARRAY_BYTES or sum(page.databytecounts) > path.stat().st_size:
+                    raise ValueError("it states more data than it can have")
+                return np.asarray(page.asarray())
         except Exception as error:  # of many types, for a file that is damaged
             raise DataError(f"cannot read {path}: not a whole TIFF image") from error
 

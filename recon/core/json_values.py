@@ -26,9 +26,10 @@ def to_plain(value: Any) -> Any:
 
 def first_problem(error: Exception) -> str:
     """One line on why a value does not fit its model (pydantic lists all reasons), or on any other error."""
-    if not isinstance(error, ValidationError):
-        text = " ".join(str(error).split())  # some libraries quote the whole file
-        return text if len(text) <= _MAX_PROBLEM else text[:_MAX_PROBLEM] + " ..."
-    first = error.errors()[0]
-    where = ".".join(str(part) for part in first["loc"]) or "the file"
-    return f"{where}: {first['msg'].removeprefix('Value error, ')}"
+    text = str(error)
+    if isinstance(error, ValidationError):
+        first = error.errors()[0]
+        where = ".".join(str(part) for part in first["loc"]) or "the file"
+        text = f"{where}: {first['msg'].removeprefix('Value error, ')}"
+    text = " ".join(text.split())  # some quote the whole file
+    return text if len(text) <= _MAX_PROBLEM else text[:_MAX_PROBLEM] + " ..."

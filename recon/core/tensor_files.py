@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 import zipfile
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import torch
 
-from .errors import ConfigError, RunError
+from .errors import ConfigError, RunError, UncleError
 from .files import atomic_path, require_file
 
 
@@ -23,17 +24,21 @@ def save_tensors(path: Path, state: dict[str, Any]) -> None:
             raise error.__context__ if isinstance(error.__context__, OSError) else error from None
 
 
-def read_tensors(path: Path, device: torch.device | str = "cpu", also: Sequence[Any] = ()) -> object:
+def read_tensors(
+    path: Path, device: torch.device | str = "cpu", also: Sequence[Any] = (), legacy: bool = False
+) -> object:
     """Tensors and plain values of a file of `torch.save`, and of the types `also`; never runs code from the file.
 
-    Raises OSError, pickle.UnpicklingError for other types; another error if it is damaged or takes more memory than it
-    has bytes.
+    `legacy` allows files of PyTorch before 1.6, which are no archives and have no checksums. Raises OSError,
+    pickle.UnpicklingError for other types; another error if it is damaged or takes more memory than it has bytes.
     """
     require_file(path)
-    if zipfile.is_zipfile(path):
-        with zipfile.ZipFile(path) as archive:
-            if any(entry.compress_type != zipfile.ZIP_STORED for entry in archive.infolist()):
-                raise ValueError("PyTorch writes no compressed files")
+    with open(path, "rb") as file:
+        is_archive = file.read(4) == b"PK\3\4"
+    if is_archive:
+        _require_whole_archive(path)
+    elif not legacy:
+        raise ValueError("it is no archive, as `torch.save` writes it")
     with torch.serialization.safe_globals(list(also)):
         content: object = torch.load(path, map_location=device, weights_only=True)
     pending = [content]
@@ -46,6 +51,14 @@ def read_tensors(path: Path, device: torch.device | str = "cpu", also: Sequence[
         elif isinstance(value, torch.Tensor):
             _require_plain(value)
     return content
+
+
+def _require_whole_archive(path: Path) -> None:
+    with zipfile.ZipFile(path) as archive:
+        if any(entry.compress_type != zipfile.ZIP_STORED for entry in archive.infolist()):
+            raise ValueError("PyTorch writes no compressed files")
+        if damaged := archive.testzip():  # PyTorch itself reads changed values without a word
+            raise ValueError(f"{damaged} has another checksum")
 
 
 def _require_plain(tensor: torch.Tensor) -> None:
@@ -67,6 +80,19 @@ def load_tensors(path: Path, device: torch.device | str = "cpu") -> dict[str, An
     if not isinstance(state, dict):
         raise _damaged(path)
     return state
+
+
+@contextmanager
+def taking_apart(path: Path) -> Iterator[None]:
+    """For the use of what `load_tensors` read: content that is not what this program writes ends in RunError."""
+    try:
+        yield
+    except torch.OutOfMemoryError:
+        raise
+    except (AttributeError, IndexError, KeyError, RuntimeError, TypeError, ValueError) as error:
+        if isinstance(error, UncleError):
+            raise
+        raise _damaged(path) from error
 
 
 def _damaged(path: Path) -> RunError:

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 EPOCH_S = 1e8  # a larger number of seconds counts from 1970 (this is 1973)
+MAX_TIME_STAMP = 1e20  # a larger number is damaged; nanoseconds since 1970 are 2e18
 MAX_STEP_S = 10.0  # frames and poses follow each other faster
 MAX_KEYFRAME_STEP_S = 1000.0  # and keyframes, whose time stamps count from 1970 if their size allows it
 ZONE_S, ZONE_TOLERANCE_S = 900.0, 30.0  # time zones differ by whole quarters of an hour

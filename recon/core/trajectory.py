@@ -10,6 +10,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from .files import write_text
+from .pose import MAX_POSITION_M
 from .text import read_table
 
 
@@ -46,12 +47,14 @@ class Trajectory:
 
     @staticmethod
     def load(path: Path) -> Trajectory:
-        """Read TUM text. Raises DataError naming the first bad line."""
+        """Read TUM text; a pose that cannot be one is not finite. Raises DataError naming the first bad line."""
         expected = "8 numbers `timestamp tx ty tz qx qy qz qw`"
         table = np.array(read_table(path, lambda widths: set(widths) == {8}, expected).rows)
         poses = np.tile(np.eye(4), (len(table), 1, 1))
-        norms = np.linalg.norm(table[:, 4:], axis=1)
-        valid = np.isfinite(table).all(axis=1) & (norms > 1e-6)
+        with np.errstate(over="ignore"):  # damaged numbers, which the next line leaves out
+            norms = np.linalg.norm(table[:, 4:], axis=1)
+        valid = np.isfinite(table).all(axis=1) & (norms > 1e-6) & (norms < MAX_POSITION_M)
+        valid &= (np.abs(table[:, 1:4]) < MAX_POSITION_M).all(axis=1)
         poses[valid, :3, :3] = Rotation.from_quat(table[valid, 4:]).as_matrix()
         poses[:, :3, 3] = table[:, 1:4]
         poses[~valid] = np.nan

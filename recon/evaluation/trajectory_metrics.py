@@ -10,7 +10,7 @@ from scipy.spatial import cKDTree
 
 from ..core.errors import DataError
 from ..core.se3 import rotation_angle
-from ..core.time_stamps import explain_mismatch
+from ..core.time_stamps import MAX_TIME_STAMP, explain_mismatch
 from ..core.trajectory import Trajectory
 from .drift import Drift, measure_drift, motion_errors
 
@@ -163,7 +163,7 @@ def has_clock(timestamps: np.ndarray) -> bool:
 def associate(estimate: Trajectory, reference: Trajectory, max_difference_s: float) -> np.ndarray:
     """(M, 2) index pairs of poses nearest in time, each pose used once, closest pairs first. Raises DataError."""
     finite = [
-        np.flatnonzero(np.isfinite(t.T_world_camera).all(axis=(1, 2)) & np.isfinite(t.timestamps))
+        np.flatnonzero(np.isfinite(t.T_world_camera).all(axis=(1, 2)) & (np.abs(t.timestamps) < MAX_TIME_STAMP))
         for t in (estimate, reference)
     ]
     if len(finite[0]) == 0 or len(finite[1]) == 0:

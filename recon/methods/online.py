@@ -11,6 +11,7 @@ from torch import Tensor
 from ..core.config.map_config import MapConfig
 from ..core.events import Note, OnEvent, Progress, ignore
 from ..core.frame import Frame
+from ..core.tensor_files import taking_apart
 from ..core.timing import Timed
 from ..run.checkpoint import Checkpoint
 from ..run.frames import RunFrames
@@ -214,7 +215,8 @@ def _restore(checkpoint: Checkpoint, system: OnlineSystem, on_event: OnEvent) ->
     state = checkpoint.load()
     if state is None:
         return None
-    system.load_state_dict(state["system"])
-    progress = OnlineProgress(**state["progress"])
+    with taking_apart(checkpoint.path):
+        system.load_state_dict(state["system"])
+        progress = OnlineProgress(**state["progress"])
     on_event(Note(f"continuing at frame {progress.position}"))
     return progress

@@ -16,7 +16,7 @@ from ..core.device import choose_device
 from ..core.errors import ConfigError, DataError, RunError
 from ..core.events import Note, OnEvent, Warn, ignore
 from ..core.files import write_text
-from ..core.tensor_files import load_tensors, save_tensors
+from ..core.tensor_files import load_tensors, save_tensors, taking_apart
 from ..core.trajectory import Trajectory
 from ..methods.base import MapJob
 from ..methods.registry import method_spec
@@ -114,7 +114,9 @@ def _map(
 def load_field(run: RunDirectory, device: str = "cpu") -> NeuralField:
     """The finished map of a run. Raises RunError if there is none."""
     run.require_stage(STAGE)
-    return NeuralField.from_state(load_tensors(run.field_path), device)
+    state = load_tensors(run.field_path)
+    with taking_apart(run.field_path):
+        return NeuralField.from_state(state, device)
 
 
 def choose_sensors(manifest: Manifest, wanted: tuple[str, ...]) -> tuple[str, ...]:

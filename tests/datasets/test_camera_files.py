@@ -10,6 +10,7 @@ from uncle.recon.core.errors import DataError
 
 CAMERA = Camera(64, 48, 50.0, 52.0, 30.0, 25.0)
 DEFAULT = Calibration(Camera(640, 480, 1.0, 1.0, 0.0, 0.0), 5000.0)
+FIELDS = {"width": 64, "height": 48, "fx": 50, "fy": 52, "cx": 30, "cy": 25}
 MATRIX = "50 0 30\n0 52 25\n0 0 1\n"
 COLUMNS = [50, 0, 0, 0, 52, 0, 30, 25, 1]
 INFO = """m_versionNumber = 4
@@ -81,6 +82,11 @@ def test_info_of_bundlefusion(read):
         ("intrinsics.txt", "50 7 30\n3 52 25\n0 0 1", "has the rows `fx 0 cx`"),
         ("calibration.txt", "-50 52 30 25", "fx and fy must be positive"),
         ("camera.json", '{"width": 64, "height": 48, "intrinsic_matrix": [1, 2]}', "3x3 numbers"),
+        ("camera.json", json.dumps(FIELDS | {"width": 10**30}), "width: Input should be less than"),
+        ("camera.json", json.dumps(FIELDS | {"fx": 1e300}), "fx: Input should be less than"),
+        ("camera.json", json.dumps(FIELDS | {"depth_scale": 1e300}), "depth_scale: Input should be less than"),
+        ("camera.json", "[" * 5000, r"^.{,600}\(fields are described"),
+        ("info.txt", INFO.format(color=50, shift=0).replace("2000", "0"), "m_depthShift = 0 is no number of depth"),
     ],
 )
 def test_what_is_no_camera_is_named(read, name, text, message):
@@ -93,9 +99,6 @@ def test_several_json_files_are_refused(read, tmp_path):
     (tmp_path / "color_intrinsics.json").write_text(text)
     with pytest.raises(DataError, match=r"several camera files \(color_intrinsics.json, depth_intrinsics.json\)"):
         read("depth_intrinsics.json", text)
-
-
-FIELDS = {"width": 64, "height": 48, "fx": 50, "fy": 52, "cx": 30, "cy": 25}
 
 
 @pytest.mark.parametrize(("value", "written"), [(0.001, "1000"), (0.00025, "4000"), (0.0002, "5000")])

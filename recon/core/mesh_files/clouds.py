@@ -32,6 +32,8 @@ def read_pcd(path: Path, data: bytes) -> Polygons:
         viewpoint = [float(word) for word in header.get("VIEWPOINT", [])]
         row = np.dtype([(f"{i}", kind, (n,)) for i, (kind, n) in enumerate(zip(kinds, repeats, strict=True))])
         axes = [names.index(axis) for axis in "xyz"]
+        if len(names) != len(kinds) or points < 0:
+            raise ValueError(f"{len(names)} fields of {len(kinds)} types, {points} points")
     except (KeyError, ValueError, IndexError, TypeError) as error:
         raise DataError(f"{path}: its header is no header of a PCD file with x, y and z ({error})") from error
     notes = ("its VIEWPOINT is not applied",) if viewpoint not in ([], _UNMOVED) else ()

@@ -72,7 +72,7 @@ def shipped_decoders() -> OccupancyDecoders:
 def _read(path: Path) -> dict[str, Any]:
     """The dictionary of a file of tensors and plain numbers, also NumPy's, which ConvONet's checkpoints hold."""
     try:
-        content = read_tensors(path, also=_numpy_scalars())
+        content = read_tensors(path, also=_numpy_scalars(), legacy=True)
     except FileNotFoundError as error:
         raise ConfigError(f"there is no file {path}: nice.decoders must name a file of decoders") from error
     except pickle.UnpicklingError as error:

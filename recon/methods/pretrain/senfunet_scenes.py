@@ -111,7 +111,10 @@ def load_scenes(path: Path) -> list[Scene]:
 def _scene(arrays: dict[str, np.ndarray], key: str) -> Scene:
     width, height, *pinhole = arrays[key + "camera"].astype(float).tolist()
     depths = {sensor: unpacked(arrays[key + sensor]) for sensor in arrays["sensors"].tolist()}
-    poses, bounds = arrays[key + "poses"].astype(float), np.cumsum(arrays[key + "jpeg_sizes"].astype(np.int64))
+    sizes = arrays[key + "jpeg_sizes"]
+    if sizes.dtype.kind not in "iu":
+        raise ValueError(f"its sizes of images are {sizes.dtype}, not whole numbers")
+    poses, bounds = arrays[key + "poses"].astype(float), np.cumsum(sizes.astype(np.int64))
     jpegs = np.split(arrays[key + "jpegs"], bounds[:-1])
     camera = Camera(int(width), int(height), *pinhole)
     expected = {(len(jpegs), camera.height, camera.width)}

@@ -11,6 +11,7 @@ from torch import Tensor
 from ...core.config.map_config import MapConfig
 from ...core.device import choose_device
 from ...core.events import Note, OnEvent
+from ...core.tensor_files import taking_apart
 from ...mvs.bias_correction import BiasCorrection
 from ...mvs.photometric_depth import PhotometricDepth
 from ...run.checkpoint import Checkpoint
@@ -103,7 +104,8 @@ def resume(state: ReconstructionState, checkpoint: Checkpoint, on_event: OnEvent
     saved = checkpoint.load()
     if saved is None:
         return
-    state.load_state_dict(saved["state"])
+    with taking_apart(checkpoint.path):
+        state.load_state_dict(saved["state"])
     progress = state.progress
     on_event(Note(f"continuing at pass {progress.current_pass + 1}, frame {progress.position}"))
 

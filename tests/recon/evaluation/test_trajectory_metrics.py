@@ -197,10 +197,10 @@ def test_no_common_time_is_an_error_that_names_both():
         evaluate_trajectory(late, walk())
 
 
-def test_poses_without_a_finite_time_stamp_are_left_out():
-    poses = np.tile(np.eye(4), (3, 1, 1))
-    estimate = Trajectory(np.array([0.0, np.nan, np.inf]), poses)
-    np.testing.assert_array_equal(associate(estimate, Trajectory(np.arange(3.0), poses), 0.02), [[0, 0]])
+def test_poses_without_a_usable_time_stamp_are_left_out():
+    poses = np.tile(np.eye(4), (4, 1, 1))
+    estimate = Trajectory(np.array([0.0, np.nan, np.inf, 1e300]), poses)
+    np.testing.assert_array_equal(associate(estimate, Trajectory(np.arange(4.0), poses), 0.02), [[0, 0]])
 
 
 def test_no_finite_pose_is_an_error():

@@ -6,8 +6,8 @@ from pathlib import Path
 
 import pytest
 import torch
-from uncle.recon.core.errors import RunError
-from uncle.recon.core.tensor_files import load_tensors, save_tensors
+from uncle.recon.core.errors import DataError, RunError
+from uncle.recon.core.tensor_files import load_tensors, save_tensors, taking_apart
 from uncle.recon.run.checkpoint import VERSION, Checkpoint
 
 
@@ -59,6 +59,26 @@ def test_damaged_files_are_one_line(tmp_path, content):
         load_tensors(path)
     assert "\n" not in str(caught.value)
     assert "overwrite" in str(caught.value)
+
+
+def test_changed_values_are_noticed(tmp_path):
+    path = tmp_path / "state.pt"
+    values = torch.arange(100.0)
+    save_tensors(path, {"values": values})
+    content = path.read_bytes()
+    assert values.numpy().tobytes() in content
+    path.write_bytes(content.replace(values.numpy().tobytes(), (values + 1).numpy().tobytes()))
+    with pytest.raises(RunError, match="damaged"):
+        load_tensors(path)
+
+
+def test_content_that_does_not_fit_is_damage(tmp_path):
+    with pytest.raises(RunError, match=r"state.pt: it is damaged"), taking_apart(tmp_path / "state.pt"):
+        {}["frames"]
+    with pytest.raises(DataError, match="kept"), taking_apart(tmp_path / "state.pt"):
+        raise DataError("kept")
+    with pytest.raises(torch.OutOfMemoryError), taking_apart(tmp_path / "state.pt"):
+        raise torch.OutOfMemoryError
 
 
 def test_missing_file_names_the_command(tmp_path):

@@ -62,6 +62,11 @@ def test_points_without_a_measurement_are_left_out_and_named(read):
         ("cloud.xyz", "hello world\n", "line 1: expected a point"),
         ("cloud.pcd", (PCD + "binary\n").encode() + BINARY_ROWS[:-1], "is cut off"),
         ("cloud.pcd", PCD + "ascii\n" + ASCII_ROWS[:-9], "8 points of 4 numbers"),
+        (
+            "cloud.pcd",
+            PCD.replace("FIELDS", "FIELDS more and") + "ascii\n" + ASCII_ROWS,
+            "6 fields of 4 types",
+        ),
         ("cloud.pcd", "ply\n", "is no PCD file"),
         ("cloud.ply", PLY + "nan nan nan\n" * 8, "none of its 8 points is finite"),
     ],
