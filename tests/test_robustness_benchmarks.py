@@ -1,4 +1,4 @@
-"""The benchmarks of interruptions and of memory: their plans, what they call a mixture, and their sums."""
+"""The benchmarks of interruptions, of memory and of `--fix`: their plans, what they call a mixture, and their sums."""
 
 import importlib
 import sys
@@ -10,7 +10,7 @@ from uncle.recon.run.directory import RunDirectory
 from uncle.recon.run.manifest import Manifest
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "benchmarks"))  # the programs import each other by their bare names
-interruptions, memory = map(importlib.import_module, ("interruptions", "memory"))
+fix, interruptions, memory = map(importlib.import_module, ("fix", "interruptions", "memory"))
 CAMERA = {"width": 4, "height": 3, "fx": 4.0, "fy": 4.0, "cx": 1.5, "cy": 1.0}
 RESULTS = {"preprocess": "frames/color/0.png", "map": "map/field.pt", "mesh": "mesh.ply"}
 
@@ -137,3 +137,13 @@ def test_the_room_comes_first_and_the_corridor_grows(tmp_path):
         ("room", 1.0, 0.0), ("room, a frame 1 km off", 1.0, 1000.0), ("room, a frame 100 km off", 1.0, 100_000.0),
         ("corridor, first quarter", 0.25, 0.0), ("corridor, half", 0.5, 0.0), ("corridor", 1.0, 0.0),
     ]  # fmt: skip
+
+
+# --- corrections -----------------------------------------------------------------------------------------------------
+@pytest.mark.parametrize(
+    ("f_score", "l1_m", "reference_f_score", "is_good"),
+    [(89.1, 9.0, 90.0, True), (88.9, 0.01, 90.0, False), (None, 0.0104, None, True), (None, 0.0106, None, False)],
+)
+def test_a_map_may_lose_a_point_or_five_per_cent(f_score, l1_m, reference_f_score, is_good):
+    undisturbed = fix.Result("", reference_f_score, 0.01)
+    assert fix.Result("depth_factor 0.2", f_score, l1_m).is_as_good_as(undisturbed) is is_good
