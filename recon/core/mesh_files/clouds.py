@@ -57,7 +57,8 @@ def read_pcd(path: Path, data: bytes) -> Polygons:
         vertices = _compressed_points(path, points)
     else:
         raise DataError(f"{path}: DATA {form.decode()} is not read; save it as ascii or binary")
-    return Polygons(vertices, *_NO_FACES, notes=notes)
+    is_single = form != b"ascii" and "<f4" in (kinds[axis] for axis in axes)
+    return Polygons(vertices, *_NO_FACES, is_single=is_single, notes=notes)
 
 
 def read_points(path: Path, data: bytes) -> Polygons:

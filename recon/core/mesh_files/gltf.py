@@ -18,6 +18,7 @@ from scipy.spatial.transform import Rotation
 
 from ..errors import DataError
 from ..files import read_bytes
+from ..world_offset import FAR_M
 from .polygons import Polygons, pack, strip_triangles
 
 _COMPONENTS = {5120: "i1", 5121: "u1", 5122: "i2", 5123: "u2", 5125: "u4", 5126: "f4"}
@@ -86,6 +87,8 @@ class _Scene:
     def polygons(self) -> Polygons:
         vertices, faces, colors, points = [np.zeros((0, 3))], [np.zeros((0, 3), np.int64)], [], [np.zeros((0, 3))]
         placed = list(self._placed_meshes())
+        # A node that is placed far away holds small coordinates, which are exact.
+        is_single = all(np.abs(transform[:3, 3]).max() < FAR_M for transform, _ in placed)
         for transform, number in placed:
             for primitive in self.tree["meshes"][number]["primitives"]:
                 position = self._accessor(primitive["attributes"]["POSITION"]).astype(float)
@@ -104,12 +107,14 @@ class _Scene:
         if unplaced:
             self.notes["meshes that its scene does not show"] = unplaced
         if not any(map(len, faces)):
-            return Polygons(np.concatenate(points), *pack([]), notes=self._sentences())
+            return Polygons(np.concatenate(points), *pack([]), is_single=is_single, notes=self._sentences())
         if len(points) > 1:
             self.notes["sets of points"] = len(points) - 1
         all_colored = bool(colors) and all(color is not None for color in colors)
         joined = np.concatenate([color for color in colors if color is not None]) if all_colored else None
-        return Polygons(np.concatenate(vertices), *pack([np.concatenate(faces)]), joined, notes=self._sentences())
+        placed_faces = pack([np.concatenate(faces)])
+        notes = self._sentences()
+        return Polygons(np.concatenate(vertices), *placed_faces, joined, is_single=is_single, notes=notes)
 
     def _sentences(self) -> tuple[str, ...]:
         return tuple(f"{count} {what} are left out" for what, count in self.notes.items())

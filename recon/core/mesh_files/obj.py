@@ -54,7 +54,7 @@ def read_obj(path: Path, data: bytes) -> Polygons:
         raise DataError(f"{path} holds no vertices (lines `v x y z`): not an OBJ file, or an empty one")
     vertices, colors = _vertices(path, vertex_lines, vertex_numbers)
     notes = tuple(f"{count} statements of {kind} are left out" for kind, count in left_out.items())
-    return Polygons(vertices, np.array(counts, np.int64), np.array(corners, np.int64), colors, None, 1, notes)
+    return Polygons(vertices, np.array(counts, np.int64), np.array(corners, np.int64), colors, None, 1, notes=notes)
 
 
 def _face_corners(path: Path, number: int, text: bytes, vertices: int) -> list[int]:

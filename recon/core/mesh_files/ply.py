@@ -161,8 +161,10 @@ def read_ply(path: Path, data: bytes) -> Polygons:
         strips = _only_list(path, "tristrips", tables["tristrips"])
         blocks = _strip_blocks(strips.counts, _as_indices(path, strips.items))
         counts, corners = np.append(counts, blocks[0]), np.append(corners, blocks[1])
-    vertices, colors, sigma = _vertex_values(path, tables.get("vertex", {}), _kinds(elements))
-    return Polygons(vertices, counts, corners, colors, sigma, notes=tuple(notes))
+    kinds = _kinds(elements)
+    vertices, colors, sigma = _vertex_values(path, tables.get("vertex", {}), kinds)
+    is_single = form != "ascii" and "f4" in (kinds[axis] for axis in "xyz")
+    return Polygons(vertices, counts, corners, colors, sigma, is_single=is_single, notes=tuple(notes))
 
 
 def _parse_header(path: Path, header: bytes) -> tuple[str, list[_Element]]:

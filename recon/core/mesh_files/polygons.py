@@ -23,6 +23,7 @@ class Polygons:
     colors      (V, 3) uint8 RGB or None
     sigma       (V,) float32 or None
     index_base  number of the first vertex in the file: 1 in OBJ
+    is_single   whether the file holds coordinates in single precision
     notes       what the parser left out, one line each
     """
 
@@ -32,6 +33,7 @@ class Polygons:
     colors: np.ndarray | None = None
     sigma: np.ndarray | None = None
     index_base: int = 0
+    is_single: bool = False
     notes: tuple[str, ...] = ()
 
 
@@ -82,12 +84,15 @@ def to_triangles(path: Path, polygons: Polygons, offset_m: Offset | None = None)
         if not kept.all():
             notes.append(f"{int((~kept).sum())} of {len(vertices)} points are not finite and are left out")
     offset_m = world_offset(vertices[kept]) if offset_m is None else offset_m
+    stated_m = float(np.abs(vertices[kept]).max()) if polygons.is_single else 0.0
     vertices = vertices - offset_m
-    rounding = np.spacing(np.float32(np.abs(vertices[kept]).max())) / 2
+    farthest_m = max(float(np.abs(vertices[kept]).max()), stated_m)
+    rounding = np.spacing(np.float32(farthest_m)) / 2
     if rounding > MAX_ROUNDING_M:
+        where = " in the file itself, which has single precision" if farthest_m == stated_m else ""
         notes.append(
-            f"coordinates reach {np.abs(vertices[kept]).max():.0f} m and are rounded by up to {rounding * 1000:.0f} "
-            "mm; subtract an offset from them first, the same from every file that belongs to them"
+            f"coordinates reach {farthest_m:.0f} m and are rounded by up to {rounding * 1000:.0f} mm{where}; subtract "
+            "an offset from them first, the same from every file that belongs to them"
         )
     renumbered = np.cumsum(kept) - 1
     return Triangles(

@@ -53,5 +53,7 @@ def _ascii_corners(path: Path, text: bytes) -> np.ndarray:
 
 
 def _welded(corners: np.ndarray, notes: tuple[str, ...] = ()) -> Polygons:
-    vertices, places = np.unique(corners.reshape(-1, 3).astype(np.float32), axis=0, return_inverse=True)
-    return Polygons(vertices.astype(float), *pack([places.reshape(-1, 3)]), notes=notes)
+    """Corners (T, 3, 3) in the precision of the file: in map coordinates float32 would join and move those of text."""
+    vertices, places = np.unique(corners.reshape(-1, 3), axis=0, return_inverse=True)
+    is_single = corners.dtype == np.float32
+    return Polygons(vertices.astype(float), *pack([places.reshape(-1, 3)]), is_single=is_single, notes=notes)

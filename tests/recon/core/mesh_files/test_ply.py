@@ -125,3 +125,12 @@ def test_binary_that_is_cut_off(read, missing):
     body = b"".join(struct.pack("<3f", *c) for c in CORNERS) + b"".join(struct.pack("<B4i", 4, *q) for q in QUADS)
     with pytest.raises(DataError, match=r"box\.ply is cut off"):
         read("box.ply", header("binary_little_endian").encode() + body[:-missing])
+
+
+@pytest.mark.parametrize(("real", "letter", "count"), [("float", "f", 1), ("double", "d", 0)])
+def test_map_coordinates_of_single_precision_are_questioned(read, real, letter, count):
+    place = np.array([448000.0, 5412345.0, 312.0])
+    body = b"".join(struct.pack(f"<3{letter}", *(np.array(c) + place)) for c in CORNERS)
+    body += b"".join(struct.pack("<B4i", 4, *q) for q in QUADS)
+    notes = read("map.ply", header("binary_little_endian", real).encode() + body).notes
+    assert sum("rounded by up to 250 mm in the file itself" in note for note in notes) == len(notes) == count

@@ -38,6 +38,30 @@ def test_every_triangle_is_there_and_corners_are_shared(read, content):
     assert result.notes == []
 
 
+def test_text_in_map_coordinates_keeps_its_decimals(read):
+    """Float32 would move its corners by up to 25 cm."""
+    place = np.array([448000.25, 5412345.125, 312.5])
+    corners = np.array(CORNERS)[np.array(TRIANGLES)] / 10 + place
+    facets = "".join(
+        "facet normal 0 0 0\nouter loop\n"
+        + "".join("vertex {:.4f} {:.4f} {:.4f}\n".format(*corner) for corner in triangle)
+        + "endloop\nendfacet\n"
+        for triangle in corners
+    )
+    result = read("map.stl", f"solid map\n{facets}endsolid map\n")
+    assert result.area == pytest.approx(BOX_AREA / 100, rel=1e-4)
+    assert len(result.surface.vertices) == 8
+    assert result.notes == []
+
+
+def test_binary_map_coordinates_are_questioned(read):
+    """The file has lost what is finer than half a metre, before it is read."""
+    corners = (np.array(CORNERS)[np.array(TRIANGLES)] + [448000, 5412345, 312]).astype("<f4")
+    facets = b"".join(struct.pack("<12fH", 0, 0, 0, *triangle.ravel(), 0) for triangle in corners)
+    notes = read("map.stl", b"map".ljust(80) + struct.pack("<I", len(corners)) + facets).notes
+    assert "rounded by up to 250 mm in the file itself, which has single precision" in notes[0]
+
+
 def test_bytes_behind_the_end_are_named(read):
     result = read("box.stl", binary() + b"\0" * 7)
     assert result.area == pytest.approx(BOX_AREA)
