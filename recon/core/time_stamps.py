@@ -10,6 +10,7 @@ EPOCH_S = 1e8  # a larger number of seconds counts from 1970 (this is 1973)
 MAX_TIME_STAMP = 1e20  # a larger number is damaged; nanoseconds since 1970 are 2e18
 MAX_STEP_S = 10.0  # frames and poses follow each other faster
 MAX_KEYFRAME_STEP_S = 1000.0  # and keyframes, whose time stamps count from 1970 if their size allows it
+SAME_DURATION = 5.0  # ratio of the time that two streams of a recording cover, at most
 ZONE_S, ZONE_TOLERANCE_S = 900.0, 30.0  # time zones differ by whole quarters of an hour
 
 
@@ -52,11 +53,23 @@ def unit_of(stamps: np.ndarray) -> TimeUnit:
 
 
 def common_units(first: np.ndarray, second: np.ndarray) -> tuple[TimeUnit, TimeUnit]:
-    """Units of two streams (N,), (M,) of one recording: the same if their numbers overlap, that of the faster one."""
-    if first.size and second.size and ranges_overlap(first, second):
-        faster = min((stream for stream in (first, second) if stream.size > 1), key=median_step, default=first)
-        return unit_of(faster), unit_of(faster)
-    return unit_of(first), unit_of(second)
+    """Units of two streams (N,), (M,) of one recording.
+
+    They are the same if the numbers overlap, that of the faster stream; unless the recording lasts as long in both
+    streams only with the units that each shows by itself, as seconds and milliseconds from 0.
+    """
+    separate = unit_of(first), unit_of(second)
+    if not (first.size and second.size and ranges_overlap(first, second)):
+        return separate
+    faster = min((stream for stream in (first, second) if stream.size > 1), key=median_step, default=first)
+    shared = unit_of(faster), unit_of(faster)
+    lasts = float(np.ptp(first)), float(np.ptp(second))
+    if separate[0] != separate[1] and min(lasts) > 0:
+        ratio = lasts[0] / lasts[1]
+        as_separate = abs(np.log(ratio * separate[0].seconds / separate[1].seconds))
+        if as_separate < np.log(SAME_DURATION) and as_separate < abs(np.log(ratio)):
+            return separate
+    return shared
 
 
 def median_step(stamps: np.ndarray) -> float:

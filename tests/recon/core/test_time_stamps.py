@@ -21,3 +21,9 @@ def test_streams_that_overlap_have_one_unit():
     sparse = 15.0 * np.arange(5)
     assert [unit.name for unit in common_units(FRAMES * 100, sparse)] == ["seconds", "seconds"]
     assert [unit.name for unit in common_units(FRAMES, 1e3 * FRAMES + 500)] == ["seconds", "milliseconds"]
+
+
+@pytest.mark.parametrize(("factor", "name"), [(1e3, "milliseconds"), (1e6, "microseconds"), (1e9, "nanoseconds")])
+def test_streams_that_both_begin_at_0_can_have_different_units(factor, name):
+    assert [unit.name for unit in common_units(FRAMES, FRAMES * factor)] == ["seconds", name]
+    assert [unit.name for unit in common_units(FRAMES * factor, FRAMES[:9])] == [name, "seconds"]
